@@ -144,6 +144,8 @@ export class Model {
     }
     this.body = message;
     for (const { name, angles_deg, angle_sigmas_deg } of message.joints) {
+      // Of a joint that nothing has shown yet there is nothing to draw.
+      if (!this.angles.has(name) && Object.values(angles_deg).every((angle) => angle === null)) continue;
       keep(this.angles, name, message.t_s, angles_deg);
       keep(this.angleSigmas, name, message.t_s, angle_sigmas_deg);
     }

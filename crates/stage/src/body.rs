@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 /// Names of the segments of the `human` skeleton, in the order of [`posed_fusion::body::BodySegment::ALL`]; a sensor with such a
 /// name, or such a `segment`, sits there.
-pub const SEGMENTS: [&str; 10] = [
+pub const SEGMENTS: [&str; 15] = [
     "torso",
     "pelvis",
     "upper_arm_r",
@@ -16,14 +16,19 @@ pub const SEGMENTS: [&str; 10] = [
     "forearm_l",
     "thigh_l",
     "shank_l",
+    "head",
+    "hand_r",
+    "foot_r",
+    "hand_l",
+    "foot_l",
 ];
 
 /// The static poses that a calibration can hold.
 pub(super) const POSES: [&str; 2] = ["n_pose", "t_pose"];
 /// The movements that concern both sides.
-pub(super) const TRUNK_MOVEMENTS: [&str; 2] = ["bow", "trunk_rotation"];
+pub(super) const TRUNK_MOVEMENTS: [&str; 3] = ["bow", "trunk_rotation", "neck_flexion"];
 /// The movements of the `human` skeleton that a calibration can hold; each with `_r` or `_l` behind it.
-pub(super) const MOVEMENTS: [&str; 9] = [
+pub(super) const MOVEMENTS: [&str; 11] = [
     "elbow_flexion",
     "elbow_pronation",
     "shoulder_flexion",
@@ -33,6 +38,8 @@ pub(super) const MOVEMENTS: [&str; 9] = [
     "hip_flexion",
     "hip_abduction",
     "hip_rotation",
+    "wrist_flexion",
+    "ankle_flexion",
 ];
 
 /// The body that wears the sensors.
@@ -86,13 +93,22 @@ pub struct Lengths {
     /// Ankle to floor, m.
     #[schemars(range(min = 0.01, max = 0.5))]
     pub ankle: Option<f64>,
+    /// From the height of the shoulders to the top of the head, m.
+    #[schemars(range(min = 0.05, max = 1.0))]
+    pub head: Option<f64>,
+    /// Wrist to finger tips, m.
+    #[schemars(range(min = 0.02, max = 0.5))]
+    pub hand: Option<f64>,
+    /// Ankle to tip of the toes along the floor, m.
+    #[schemars(range(min = 0.02, max = 0.5))]
+    pub toes: Option<f64>,
 }
 
 /// Which segments a body has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Skeleton {
-    /// Torso, pelvis, arms and legs.
+    /// Torso, pelvis, arms and legs, head, hands and feet.
     #[default]
     Human,
     /// What `[[body.segments]]` says.

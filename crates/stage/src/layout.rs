@@ -83,6 +83,9 @@ pub fn skeleton_of(body: &crate::Body) -> Option<Skeleton> {
         thigh_m: measured.thigh.unwrap_or(by_height.thigh_m),
         shank_m: measured.shank.unwrap_or(by_height.shank_m),
         foot_m: measured.ankle.unwrap_or(by_height.foot_m),
+        head_m: measured.head.unwrap_or(by_height.head_m),
+        hand_m: measured.hand.unwrap_or(by_height.hand_m),
+        toes_m: measured.toes.unwrap_or(by_height.toes_m),
     })
 }
 
@@ -102,7 +105,8 @@ impl BodyLayout {
     /// Of a stage whose body wears sensors. `None` without a body, without a sensor on the human skeleton, with two IMUs on one
     /// of its segments, or with a custom skeleton that is no [`ChainLayout`].
     ///
-    /// With an IMU on the body an angle is shown where both segments beside the joint wear a sensor; trackers alone show all.
+    /// With an IMU on the body an angle is shown where both segments beside the joint wear a sensor; trackers alone show all of trunk and limbs, and of neck, wrists
+    /// and ankles those below which one sits.
     pub fn of(stage: &Stage) -> Option<Self> {
         let body = stage.body.as_ref()?;
         if body.skeleton != crate::Skeleton::Human {
@@ -122,7 +126,9 @@ impl BodyLayout {
         let imus = wearers.imus.iter().any(Option::is_some);
         let shown = |segment: &BodySegment| {
             let parent = segment.parent();
-            parent.is_some_and(|parent| !imus || (wearers.has(*segment) && wearers.has(parent)))
+            let whole = !imus && !BodySegment::EXTREMITIES.contains(segment);
+            let worn = wearers.has(*segment);
+            parent.is_some_and(|parent| whole || (worn && (!imus || wearers.has(parent))))
         };
         let shown_angles = BodySegment::ALL.into_iter().filter(shown).flat_map(of_joint).collect();
         Some(Self { segments: segments.into(), shown_angles, has_places: true })
@@ -166,7 +172,7 @@ impl SegmentLayout {
     /// What one of the joint's angles is called, `index` being one of [`Self::angles`]; a hinge of a chain has its flexion alone.
     ///
     /// # Panics
-    /// The segment is one of the human skeleton, and `index` is beyond its 25 angles.
+    /// The segment is one of the human skeleton, and `index` is beyond its 38 angles.
     pub fn angle(&self, index: usize) -> &'static str {
         let human = BodySegment::named(&self.name).is_some_and(|segment| of_joint(segment) == self.angles);
         if human { joint_and_angle(ANGLE_NAMES[index]).1 } else { "flexion" }

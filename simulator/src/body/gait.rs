@@ -6,7 +6,7 @@
 
 use nalgebra::Vector3;
 
-use super::kinematics::{Build, Posture, about_x, about_y, about_z};
+use super::kinematics::{Build, Posture, about_x, about_y, about_z, upright};
 use super::script::raise;
 use crate::ease::{minimum_jerk, step};
 
@@ -73,10 +73,11 @@ impl Path {
         posture.spine = [0.03, -0.03 * sway, -0.14 * right_ahead].map(|angle| grow * angle);
 
         for (side, sign) in [(0, 1.0), (1, -1.0)] {
-            let foot = self.foot(side, steps, build);
+            let (foot, toe_up_rad) = self.foot(side, steps, build);
             let ankle_at_m = into_room(foot.at_m) + Vector3::z() * ankle_m;
             let turn = foot.heading_rad - (posture.pelvis[0] - facing);
             reach(posture, side, sign, ankle_at_m, turn, build);
+            posture.plant(side, &(upright(facing + foot.heading_rad) * about_z(toe_up_rad)));
             // An arm swings against its leg.
             let ahead = -sign * right_ahead;
             raise(posture, side, grow * (0.05 + 0.3 * ahead), grow * 0.12, 0.0);
@@ -110,8 +111,8 @@ impl Path {
         Station { at_m: at_m + Vector3::new(-s, c, 0.0) * left_m, heading_rad }
     }
 
-    /// The ankle of a foot, as it would be with the hips' first foothold at height 0.
-    fn foot(&self, side: usize, steps: f64, build: &Build) -> Station {
+    /// The ankle of a foot, as it would be with the hips' first foothold at height 0, and how far its toe points up, rad.
+    fn foot(&self, side: usize, steps: f64, build: &Build) -> (Station, f64) {
         let leg_m = build.thigh_m + build.shank_m;
         let left = if side == 0 { -1.0 } else { 1.0 };
         let (last, next) = swung(side, steps);
@@ -154,7 +155,7 @@ impl Path {
         let up_m = ball.1 + landing * (heel.1 - ball.1);
         station.at_m +=
             about_z(station.heading_rad) * Vector3::new(forward_m, 0.0, 0.0) + Vector3::z() * up_m;
-        station
+        (station, pitch)
     }
 }
 
@@ -200,6 +201,7 @@ pub(super) fn lower(posture: &mut Posture, knee: f64, back_m: f64, outwards: f64
     posture.pelvis_m += facing * Vector3::new(-back_m, 0.0, 0.0) - Vector3::z() * (leg_m - height_m);
     for (side, sign, ankle_m) in ankles_m {
         hang(posture, side, sign, ankle_m, knee, -sign * outwards, build);
+        posture.plant(side, &upright(posture.pelvis[0]));
     }
 }
 
@@ -276,10 +278,13 @@ mod tests {
                 path.walk(&mut posture, steps, &build);
                 let ankles = ankles_m(&posture, &build);
                 for side in 0..2 {
-                    let asked = path.foot(side, steps, &build);
+                    let (asked, toe_up_rad) = path.foot(side, steps, &build);
                     let asked_m = Vector3::new(0.3, -0.2, 0.07) + about_z(0.7) * asked.at_m;
                     let missed_m = (ankles[side] - asked_m).norm();
                     assert!(missed_m < 2e-3 * leg_m, "{path:?} {steps:.2} {side}: {missed_m}");
+                    let foot = posture.place(&build)[[12, 14][side]].axes;
+                    let toe = (foot * Vector3::x()).z;
+                    assert!((toe - libm::sin(toe_up_rad)).abs() < 1e-9, "{path:?} {steps:.2} {side}: {toe}");
                     if let Some(before) = before {
                         let moved_m = (ankles[side] - before[side]).norm();
                         assert!(moved_m < 0.05, "{path:?} {steps:.2} {side}: {moved_m}");

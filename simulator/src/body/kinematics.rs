@@ -5,7 +5,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 /// Names of the body segments, in the order of all arrays here; `_r` is the right side, `_l` the left.
-pub const SEGMENT_NAMES: [&str; 10] = [
+pub const SEGMENT_NAMES: [&str; SEGMENTS] = [
     "torso",
     "pelvis",
     "upper_arm_r",
@@ -16,7 +16,15 @@ pub const SEGMENT_NAMES: [&str; 10] = [
     "forearm_l",
     "thigh_l",
     "shank_l",
+    "head",
+    "hand_r",
+    "foot_r",
+    "hand_l",
+    "foot_l",
 ];
+
+/// How many segments there are.
+pub const SEGMENTS: usize = 15;
 
 /// Lengths of a body, m.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,10 +35,14 @@ pub struct Build {
     pub hip_width_m: f64,
     /// From hips to shoulders.
     pub trunk_m: f64,
+    /// From the shoulders to the top of the head.
+    pub head_m: f64,
     /// Shoulder to elbow.
     pub upper_arm_m: f64,
     /// Elbow to wrist.
     pub forearm_m: f64,
+    /// Wrist to finger tips.
+    pub hand_m: f64,
     /// Hip to knee.
     pub thigh_m: f64,
     /// Knee to ankle.
@@ -44,8 +56,10 @@ impl Build {
             shoulder_width_m: 0.258 * height_m,
             hip_width_m: 0.1 * height_m,
             trunk_m: 0.288 * height_m,
+            head_m: 0.182 * height_m,
             upper_arm_m: 0.186 * height_m,
             forearm_m: 0.146 * height_m,
+            hand_m: 0.108 * height_m,
             thigh_m: 0.245 * height_m,
             shank_m: 0.246 * height_m,
         }
@@ -62,19 +76,25 @@ pub struct Posture {
     pub pelvis: [f64; 3],
     /// Torso against the pelvis, rad: flexion, lateral flexion, rotation.
     pub spine: [f64; 3],
+    /// Head against the torso, rad: flexion, lateral flexion, rotation.
+    pub neck: [f64; 3],
     /// Upper arm against the torso, rad: plane of elevation, elevation, rotation.
     pub shoulder: [[f64; 3]; 2],
     /// How a raised shoulder departs from those, about its x and z, rad; smooth where the arm hangs, unlike plane and elevation.
     pub shoulder_lean: [[f64; 2]; 2],
     /// Forearm against the upper arm, rad: flexion, pronation.
     pub elbow: [[f64; 2]; 2],
+    /// Hand against the forearm, rad: flexion, ulnar deviation.
+    pub wrist: [[f64; 2]; 2],
     /// Thigh against the pelvis, rad: flexion, adduction, rotation.
     pub hip: [[f64; 3]; 2],
     /// Shank against the thigh, rad: knee flexion.
     pub knee: [f64; 2],
+    /// Foot against the shank, rad: dorsiflexion, inversion, rotation inwards.
+    pub ankle: [[f64; 3]; 2],
 }
 
-/// Where a segment is in the room (z up). The origin is the proximal joint of a limb's segment, the mid-point of the hips for the
+/// Where a segment is in the room (z up). The origin is the proximal joint of a limb's segment, of head, hand and foot, the mid-point of the hips for the
 /// pelvis, and the middle between hips and shoulders for the torso.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
@@ -85,7 +105,7 @@ pub struct Placement {
 }
 
 /// All segments, in the order of [`SEGMENT_NAMES`].
-pub type TrueBody = [Placement; 10];
+pub type TrueBody = [Placement; SEGMENTS];
 
 pub(super) fn about_x(angle: f64) -> Matrix3<f64> {
     let (s, c) = libm::sincos(angle);
@@ -102,13 +122,30 @@ pub(super) fn about_z(angle: f64) -> Matrix3<f64> {
     Matrix3::new(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
 }
 
+/// Axes (forward, up, right) of what stands upright and looks so far to the left of the room's x (z up), rad.
+pub(super) fn upright(heading_rad: f64) -> Matrix3<f64> {
+    about_z(heading_rad) * Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0)
+}
+
 impl Posture {
     /// Pelvis to room.
     pub(super) fn pelvis_axes(&self) -> Matrix3<f64> {
-        // Segment axes (forward, up, right) of a body that looks along the room's x (z up).
-        let upright = Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0);
         let [rotation, tilt, list] = self.pelvis;
-        about_z(rotation) * upright * about_z(-tilt) * about_x(list)
+        upright(rotation) * about_z(-tilt) * about_x(list)
+    }
+
+    /// Turns an ankle so that the foot has these axes in the room.
+    pub(super) fn plant(&mut self, side: usize, foot: &Matrix3<f64>) {
+        let sign = if side == 0 { 1.0 } else { -1.0 };
+        let [flexion, adduction, rotation] = self.hip[side];
+        let thigh =
+            self.pelvis_axes() * about_z(flexion) * about_x(sign * adduction) * about_y(sign * rotation);
+        let m = (thigh * about_z(-self.knee[side])).transpose() * foot;
+        self.ankle[side] = [
+            libm::atan2(-m[(0, 1)], m[(1, 1)]),
+            sign * libm::asin(m[(2, 1)].clamp(-1.0, 1.0)),
+            sign * libm::atan2(-m[(2, 0)], m[(2, 2)]),
+        ];
     }
 
     /// Where every segment of a body of these lengths is in the room: rigid segments, joints without translation.
@@ -118,8 +155,11 @@ impl Posture {
         let torso = pelvis * about_z(-flexion) * about_x(lateral) * about_y(rotation);
         let hips_m = self.pelvis_m;
         let shoulders_m = hips_m + torso * Vector3::new(0.0, build.trunk_m, 0.0);
-        let mut body = [Placement { axes: pelvis, origin_m: hips_m }; 10];
+        let mut body = [Placement { axes: pelvis, origin_m: hips_m }; SEGMENTS];
         body[0] = Placement { axes: torso, origin_m: (hips_m + shoulders_m) * 0.5 };
+        let [flexion, lateral, rotation] = self.neck;
+        let head = torso * about_z(-flexion) * about_x(lateral) * about_y(rotation);
+        body[10] = Placement { axes: head, origin_m: shoulders_m };
         for (side, sign) in [(0, 1.0), (1, -1.0)] {
             let [plane, elevation, rotation] = self.shoulder[side];
             let [sideways, forward] = self.shoulder_lean[side];
@@ -134,6 +174,14 @@ impl Posture {
             let shank = thigh * about_z(-self.knee[side]);
             let hip = hips_m + pelvis * Vector3::new(0.0, 0.0, sign * 0.5 * build.hip_width_m);
             let knee = hip - thigh * Vector3::new(0.0, build.thigh_m, 0.0);
+            let [flexion, deviation] = self.wrist[side];
+            let hand = forearm * about_x(sign * flexion) * about_z(-deviation);
+            let wrist = elbow - forearm * Vector3::new(0.0, build.forearm_m, 0.0);
+            let [flexion, inversion, rotation] = self.ankle[side];
+            let foot = shank * about_z(flexion) * about_x(sign * inversion) * about_y(sign * rotation);
+            let ankle = knee - shank * Vector3::new(0.0, build.shank_m, 0.0);
+            body[11 + 2 * side] = Placement { axes: hand, origin_m: wrist };
+            body[12 + 2 * side] = Placement { axes: foot, origin_m: ankle };
             let first = 2 + 4 * side;
             body[first] = Placement { axes: arm, origin_m: shoulder };
             body[first + 1] = Placement { axes: forearm, origin_m: elbow };

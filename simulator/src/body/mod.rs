@@ -14,6 +14,6 @@ mod script;
 mod tests;
 mod wearer;
 
-pub use kinematics::{Build, Placement, Posture, SEGMENT_NAMES, TrueBody};
+pub use kinematics::{Build, Placement, Posture, SEGMENT_NAMES, SEGMENTS, TrueBody};
 pub use script::{Activity, BlockSpan, Mistake, Script};
 pub use wearer::{Disturbance, Sample, SensorErrors, Truth, Wearer, WearerSpec};

@@ -1,16 +1,18 @@
 //! Labelled sequences of the simulated person: one activity after the other with rests between, to learn segments from.
 //!
-//! What comes in: a seed. What goes out: half a minute or more of the ten segments' origins with a label per frame. What it never
+//! What comes in: a seed. What goes out: half a minute or more of the origins of trunk and limbs with a label per frame. What it never
 //! does: repeat a person: height, tempo, amplitude, heading and order are drawn anew.
 
 use nalgebra::Vector3;
 
-use super::kinematics::{Build, Posture, SEGMENT_NAMES};
+use super::kinematics::{Build, Posture};
 use super::script::Activity;
 use crate::random::{Purpose, Random};
 
 /// Frames per second of every sequence.
 pub const RATE_HZ: f64 = 60.0;
+/// Segments of a sequence: trunk and limbs, without head, hands and feet.
+pub const SHOWN: usize = 10;
 /// Names of the labels; [`Programme::labels`] holds indices of this list.
 pub const LABELS: [&str; 5] = ["standing", "walking", "reaching", "curls", "squats"];
 const ACTIVITIES: [Activity; 4] = [Activity::Walking, Activity::Reaching, Activity::Curls, Activity::Squats];
@@ -20,8 +22,8 @@ const BEGUN: f64 = 0.25;
 /// A labelled sequence of one person, [`RATE_HZ`] frames a second; `frames` and `labels` are of the same length.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Programme {
-    /// Origins of [`SEGMENT_NAMES`] frame by frame, room axes (z up), m; white noise of 3 mm per axis is in them.
-    pub frames: Vec<[[f64; 3]; SEGMENT_NAMES.len()]>,
+    /// Origins of the first [`SHOWN`] of [`SEGMENT_NAMES`](super::SEGMENT_NAMES) frame by frame, room axes (z up), m; white noise of 3 mm per axis is in them.
+    pub frames: Vec<[[f64; 3]; SHOWN]>,
     /// Index in [`LABELS`] of each frame.
     pub labels: Vec<usize>,
 }

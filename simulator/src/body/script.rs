@@ -29,10 +29,10 @@ pub enum Activity {
     Climbing,
     /// Holds an N-pose and a T-pose in turn, three seconds each: what a quick guided calibration asks for.
     Poses,
-    /// Stands, holds a T-pose, then bends elbows, knees, hips and trunk with rests between, again and again: what a full calibration
+    /// Stands, holds a T-pose, then bends elbows, knees, hips, head, feet and trunk with rests between, again and again: what a full calibration
     /// asks for, with or without magnetometers.
     Bends,
-    /// Stands, holds a T-pose, then moves limb after limb and the trunk with rests between, again and again: what a calibration asks
+    /// Stands, holds a T-pose, then moves limb after limb, head, hands, feet and the trunk with rests between, again and again: what a calibration asks
     /// for that finds which sensor sits where.
     Movements,
     /// Three sets of five curls, reaches, three sets of five squats, with five seconds of rest after each set: two minutes, again and again.
@@ -108,7 +108,7 @@ pub struct Script {
 }
 
 /// The movements: name, amplitude in rad; three seconds there and back, twice.
-const MOVEMENTS: [(&str, f64); 13] = [
+const MOVEMENTS: [(&str, f64); 18] = [
     ("elbow_flexion_r", 1.7),
     ("elbow_flexion_l", 1.7),
     ("elbow_pronation_r", 1.2),
@@ -122,11 +122,18 @@ const MOVEMENTS: [(&str, f64); 13] = [
     ("bow", 0.8),
     ("trunk_rotation", 0.7),
     ("shoulder_abduction_r", 1.0),
+    ("neck_flexion", 0.6),
+    ("wrist_flexion_r", 0.9),
+    ("ankle_flexion_r", 0.4),
+    ("wrist_flexion_l", 0.9),
+    ("ankle_flexion_l", 0.4),
 ];
-/// Of these, those that a full calibration asks for: elbows, knees, hips and a bow.
-const BENDS: [usize; 7] = [0, 1, 6, 7, 8, 9, 10];
-/// And those that move one limb or the trunk: arms, legs, bow and trunk.
-const EACH_LIMB: [usize; 10] = [0, 4, 1, 5, 6, 8, 7, 9, 10, 11];
+/// Of these, so many come first in a script that begins with a calibration.
+const FIRST: usize = 13;
+/// Those that a full calibration asks for: elbows, knees, hips, head, feet and a bow.
+const BENDS: [usize; 10] = [0, 1, 6, 7, 8, 9, 13, 15, 17, 10];
+/// And those that move one segment or the trunk: arms, legs, head, hands, feet, bow and trunk.
+const EACH_LIMB: [usize; 15] = [0, 4, 1, 5, 6, 8, 7, 9, 13, 14, 15, 16, 17, 10, 11];
 const POSE_S: f64 = 3.0;
 const CHANGE_S: f64 = 2.0;
 const MOVE_S: f64 = 5.0;
@@ -148,7 +155,7 @@ impl Script {
             BlockSpan { kind: "n_pose", start_s: 0.2, end_s: POSE_S },
             BlockSpan { kind: "t_pose", start_s: t_pose + 0.2, end_s: t_pose + POSE_S - 0.2 },
         ];
-        for (index, (kind, _)) in MOVEMENTS.into_iter().enumerate() {
+        for (index, (kind, _)) in MOVEMENTS.into_iter().take(FIRST).enumerate() {
             let start_s = movement_s(index);
             blocks.push(BlockSpan { kind, start_s, end_s: start_s + MOVE_S });
         }
@@ -157,7 +164,7 @@ impl Script {
 
     /// When the activity begins, s of the script: 88.5 after a calibration, else 0.
     pub fn activity_s(&self) -> f64 {
-        if self.calibration { movement_s(MOVEMENTS.len()) } else { 0.0 }
+        if self.calibration { movement_s(FIRST) } else { 0.0 }
     }
 
     /// Whether any part of the right and of the left foot is on the floor at that time; `None` in what has no floor.
@@ -178,7 +185,7 @@ impl Script {
         };
         if self.calibration {
             hold_t_pose(&mut posture, t_s, POSE_S);
-            for (index, (kind, amplitude)) in MOVEMENTS.into_iter().enumerate() {
+            for (index, (kind, amplitude)) in MOVEMENTS.into_iter().take(FIRST).enumerate() {
                 let phase = (t_s - movement_s(index)) / MOVE_S;
                 if (0.0..1.0).contains(&phase) {
                     bend(&mut posture, kind, amplitude * there_and_back(phase));
@@ -252,7 +259,12 @@ impl Activity {
                     raise(p, side, grow * (0.05 + swing), grow * 0.12, grow * 0.1 * wave(HZ, phase));
                     p.elbow[side] =
                         [0.35 + 0.2 * wave(HZ, phase + 2.8), 0.3 + 0.1 * wave(HZ, phase)].map(|a| grow * a);
+                    p.wrist[side] = [0.15 * wave(HZ, phase + 0.5), 0.1 * wave(HZ, phase)].map(|a| grow * a);
+                    p.ankle[side] =
+                        [0.05 + 0.25 * wave(HZ, phase + 2.2), 0.04 * wave(HZ, phase), 0.0].map(|a| grow * a);
                 }
+                p.neck = [0.05 + 0.03 * wave(2.0 * HZ, 0.0), -0.04 * wave(HZ, 2.0), 0.3 * wave(0.11, 0.0)]
+                    .map(|a| grow * a);
             }
             Activity::Reaching => {
                 p.spine = [0.25 * rise(0.13, 0.0), 0.15 * wave(0.11, 0.4), 0.35 * wave(0.17, 0.0)]
@@ -268,6 +280,12 @@ impl Activity {
                         grow * 0.5 * wave(0.31, hz),
                     );
                     p.elbow[side] = [0.2 + 1.2 * rise(hz, 2.4), 0.6 * wave(hz * 0.7, 1.0)].map(|a| grow * a);
+                }
+                // The eyes follow the right hand, which turns what it holds.
+                p.neck =
+                    [0.3 * rise(0.45, 1.0), 0.1 * wave(0.11, 1.2), 0.4 * wave(0.17, 0.5)].map(|a| grow * a);
+                for (side, phase) in [(0, 0.0), (1, 1.3)] {
+                    p.wrist[side] = [0.5 * wave(0.37, phase), 0.25 * wave(0.29, phase)].map(|a| grow * a);
                 }
                 p.hip[0][0] = grow * 0.12 * rise(0.13, 0.0);
                 p.hip[1][0] = grow * 0.12 * rise(0.13, 0.0);
@@ -422,6 +440,9 @@ fn bend(p: &mut Posture, kind: &str, angle: f64) {
         "knee_flexion" => p.knee[side] = angle,
         "hip_flexion" => p.hip[side][0] = angle,
         "trunk_rotation" => p.spine[2] = angle,
+        "neck_flexion" => p.neck[0] = angle,
+        "wrist_flexion" => p.wrist[side][0] = angle,
+        "ankle_flexion" => p.ankle[side][0] = angle,
         _ => {
             // A bow from the hips: the legs stay upright.
             p.pelvis[1] = angle;

@@ -24,6 +24,14 @@ fn posture(angles: &str) -> Posture {
             ["hip", _, "adduction"] => posture.hip[side][1] = angle,
             ["hip", _, "rotation"] => posture.hip[side][2] = angle,
             ["knee", _, "flexion"] => posture.knee[side] = angle,
+            ["neck", "flexion"] => posture.neck[0] = angle,
+            ["neck", "lateral"] => posture.neck[1] = angle,
+            ["neck", "rotation"] => posture.neck[2] = angle,
+            ["wrist", _, "flexion"] => posture.wrist[side][0] = angle,
+            ["wrist", _, "deviation"] => posture.wrist[side][1] = angle,
+            ["ankle", _, "flexion"] => posture.ankle[side][0] = angle,
+            ["ankle", _, "inversion"] => posture.ankle[side][1] = angle,
+            ["ankle", _, "rotation"] => posture.ankle[side][2] = angle,
             _ => panic!("no angle {name}"),
         }
     }

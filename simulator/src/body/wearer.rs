@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use posed_geometry::GRAVITY_M_S2;
 
-use super::kinematics::{Build, Placement, SEGMENT_NAMES};
+use super::kinematics::{Build, Placement, SEGMENT_NAMES, SEGMENTS};
 use super::script::Script;
 use crate::random::{Purpose, Random};
 
@@ -102,7 +102,7 @@ pub struct WearerSpec {
     pub script: Script,
     /// Lengths of the body, m.
     pub build: Build,
-    /// Errors of all ten sensors.
+    /// Errors of all sensors.
     pub errors: SensorErrors,
     /// Whether the sensors have magnetometers; without, [`Sample::mag_ut`] is absent.
     pub magnetometer: bool,
@@ -134,7 +134,7 @@ pub struct Truth {
     /// Time of the script, s.
     pub t_s: f64,
     /// Where the segments are in the room, in the order of [`SEGMENT_NAMES`].
-    pub body: [Placement; 10],
+    pub body: [Placement; SEGMENTS],
 }
 
 /// One unit's drawn errors and where it sits.
@@ -149,7 +149,7 @@ struct Unit {
     noise: Random,
 }
 
-/// The person with ten sensors, one on each of [`SEGMENT_NAMES`]; gives samples frame by frame. Seeded, without clock.
+/// The person with a sensor on each of [`SEGMENT_NAMES`]; gives samples frame by frame. Seeded, without clock.
 ///
 /// Angular velocity and specific force are differences of the exact poses over 1 ms; the magnetic field is the same in the whole
 /// room.
@@ -163,8 +163,8 @@ pub struct Wearer {
 impl Wearer {
     /// Draws mountings and errors; the first frame is at 0 s.
     ///
-    /// A sensor sits in any orientation, 2 cm (standard deviation per axis) from the middle of a limb's segment, or from the
-    /// origin of torso and pelvis.
+    /// A sensor sits in any orientation, 2 cm (standard deviation per axis) from the middle of a limb's segment, of the head or of a hand, from 7 cm ahead of the
+    /// ankle, or from the origin of torso and pelvis.
     pub fn new(spec: WearerSpec) -> Self {
         let build = spec.build;
         let unit = |index: usize| {
@@ -176,14 +176,18 @@ impl Wearer {
                 "forearm" => build.forearm_m,
                 "thigh" => build.thigh_m,
                 "shank" => build.shank_m,
+                // Half way to the top of the head, on the back of the hand, and on the instep.
+                "head" => -build.head_m,
+                "hand" => build.hand_m,
                 _ => 0.0,
             };
+            let forward_m = if SEGMENT_NAMES[index].starts_with("foot") { 0.07 } else { 0.0 };
             let matrix = |a: Vector3<f64>, b: Vector3<f64>, c: Vector3<f64>| {
                 Matrix3::identity() + Matrix3::from_columns(&[a, b, c])
             };
             Unit {
                 mount: UnitQuaternion::from_scaled_axis(vector(1.0)),
-                offset_m: Vector3::new(0.0, -0.5 * length_m, 0.0) + vector(0.02),
+                offset_m: Vector3::new(forward_m, -0.5 * length_m, 0.0) + vector(0.02),
                 gyro: (matrix(vector(e.scale), vector(e.scale), vector(e.scale)), vector(e.gyro_bias_rad_s)),
                 accel: (matrix(vector(e.scale), vector(e.scale), vector(e.scale)), vector(e.accel_bias_m_s2)),
                 magnet: vector(e.mag_bias_ut),
@@ -221,7 +225,7 @@ impl Wearer {
 
     /// The next frame, `1 / rate_hz` after the last: the sample of each segment's sensor, in the order of [`SEGMENT_NAMES`], and
     /// the ground truth of the same time.
-    pub fn step(&mut self) -> ([Sample; 10], Truth) {
+    pub fn step(&mut self) -> ([Sample; SEGMENTS], Truth) {
         let t_s = self.frame as f64 / self.spec.rate_hz;
         self.frame += 1;
         let spec = &self.spec;
@@ -295,4 +299,7 @@ fn clumsy(posture: &mut super::Posture, sigma: f64, seed: u64) {
         add(&mut posture.elbow[side][0]);
         add(&mut posture.knee[side]);
     }
+    posture.neck.iter_mut().for_each(&mut add);
+    posture.wrist.iter_mut().flatten().for_each(&mut add);
+    posture.ankle.iter_mut().flatten().for_each(&mut add);
 }

@@ -43,7 +43,7 @@ impl Default for Person {
 }
 
 impl Person {
-    pub(super) const SEGMENTS: [&'static str; 10] = SEGMENT_NAMES;
+    pub(super) const SEGMENTS: [&'static str; crate::body::SEGMENTS] = SEGMENT_NAMES;
 
     pub(super) fn pose(&self, segment: usize, t_s: f64) -> Isometry3<f64> {
         let build = Build::of_height(self.height_m);

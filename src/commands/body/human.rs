@@ -52,8 +52,10 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
     })?;
     let names = BodySegment::ALL.map(BodySegment::name);
     let mut places = places(stage, imu, &names);
-    if args.assign && imu.sensors.len() == SEGMENTS && places.iter().all(Option::is_none) {
-        places = (0..SEGMENTS).map(Some).collect();
+    // A sensor on all of trunk and limbs, or on everything.
+    let whole = [SEGMENTS - BodySegment::EXTREMITIES.len(), SEGMENTS].contains(&imu.sensors.len());
+    if args.assign && whole && places.iter().all(Option::is_none) {
+        places = (0..imu.sensors.len()).map(Some).collect();
     }
     one_each(imu, &places, &names, false)?;
     if places.iter().all(Option::is_none) {

@@ -16,7 +16,7 @@ use super::super::{Error, print};
     after_help = "Example:\n  posed segments generate made-up/ --sequences 60 && posed segments train made-up/ -o m.safetensors\n\n\
     A person walks, turns, picks and places for 13 to 22 s: 19 joints, 72 Hz, ten labels. With --primitives the labels are finer, those\n\
     of Cheema et al. 2019: steps begun, made and ended by either foot, reach, retrieve, turn. With --person it is the one of simulated\n\
-    stages, who walks, reaches, curls and squats: the ten segments of the body, 60 Hz. A seed gives the same files anywhere (up to\n\
+    stages, who walks, reaches, curls and squats: trunk and limbs in ten segments, 60 Hz. A seed gives the same files anywhere (up to\n\
     rounding)."
 )]
 pub(crate) struct Args {
@@ -43,7 +43,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         let sequences = if args.person {
             let Programme { frames, labels } = Programme::generate(seed);
             sequences(
-                &SEGMENT_NAMES,
+                &SEGMENT_NAMES[..programme::SHOWN],
                 &frames,
                 labels.iter().map(|k| programme::LABELS[*k]),
                 programme::RATE_HZ,
@@ -61,7 +61,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 }
 
 fn sequences<'a, const N: usize>(
-    joints: &[&str; N],
+    joints: &[&str],
     frames: &[[[f64; 3]; N]],
     labels: impl Iterator<Item = &'a str>,
     rate_hz: f64,
@@ -72,7 +72,7 @@ fn sequences<'a, const N: usize>(
         transition: false,
     };
     Sequences {
-        joints: joints.map(str::to_owned).to_vec(),
+        joints: joints.iter().map(|joint| (*joint).to_owned()).collect(),
         labelled: true,
         frames: labels.enumerate().map(frame).collect(),
         // To a tenth of a millimetre.

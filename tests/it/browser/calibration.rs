@@ -134,11 +134,11 @@ async fn a_body_is_calibrated_in_the_browser_and_then_stands() {
     let folder = tempfile::tempdir().unwrap();
     let (posed, mut browser) = calibrating(&posing(folder.path()), "quick").await;
     guided(&mut browser, CALIBRATE, "2 of 2: Raise both arms", "mounting is known").await;
-    browser.until("document.getElementById('mounting').rows.length === 10").await;
+    browser.until("document.getElementById('mounting').rows.length === 15").await;
     browser.picture("mounting").await;
     browser.click("tab-stage-view").await;
     browser
-        .until("document.getElementById('body-summary').textContent.startsWith('body: 10 of 10 segments measured')")
+        .until("document.getElementById('body-summary').textContent.startsWith('body: 15 of 15 segments measured')")
         .await;
     browser.until("document.getElementById('problems').hidden").await;
     done(browser, posed).await;

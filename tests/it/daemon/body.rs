@@ -38,7 +38,8 @@ async fn the_demo_s_body_stands_moves_and_is_exported_from_its_recording() {
         flexions.extend(elbow["angles_deg"]["flexion"].as_f64());
     }
     assert_eq!((&last["position_source"], &last["heading"]), (&json!("trackers"), &json!("field")), "{last}");
-    assert_eq!(last["segments"].as_array().unwrap().len(), 10);
+    assert_eq!(last["segments"].as_array().unwrap().len(), 15);
+    assert_eq!(segment(&last, "head")["state"], "inferred");
     assert_eq!(segment(&last, "forearm_r")["sensor"], "imu_forearm_r");
     assert!(
         z_m(&last, "shank_r") < z_m(&last, "thigh_r") && z_m(&last, "pelvis") < z_m(&last, "torso"),
@@ -56,7 +57,7 @@ async fn the_demo_s_body_stands_moves_and_is_exported_from_its_recording() {
     assert!(sentence.contains("\"wand\" is no IMU"), "{sentence}");
     assert_eq!(posed_demo.end("INT").await.code(), Some(0));
 
-    for to in ["bvh", "trc", "glb"] {
+    for to in ["bvh", "trc", "glb", "vrm", "vrma", "usda"] {
         let output = folder.path().join(format!("take.{to}"));
         let args = ["export", recording.to_str().unwrap(), "--to", to, "-o", output.to_str().unwrap()];
         let done = posed(args);
@@ -122,7 +123,7 @@ async fn a_body_is_calibrated_from_a_terminal() {
         "{reported}"
     );
     assert!(lines[3].starts_with("2 of 2: Raise"), "{reported}");
-    assert!(lines[4].starts_with("the sensors' mounting is known") && lines.len() == 15, "{reported}");
+    assert!(lines[4].starts_with("the sensors' mounting is known") && lines.len() == 20, "{reported}");
     // Nobody is there.
     assert_eq!(daemon.end("INT").await.code(), Some(0));
     let alone = calibrate(&["--json"]).await.unwrap();

@@ -16,6 +16,9 @@ const FOREARM = 0.146;
 const THIGH = 0.245;
 const SHANK = 0.246;
 const ANKLE = 0.039;
+const HEAD = 0.182;
+const HAND = 0.108;
+const TOES = 0.125;
 const USUAL_HEIGHT_M = 1.75;
 
 /** How a segment looks by its state: colour, opacity and whether it is a net all say the same. */
@@ -38,12 +41,15 @@ type Place = { parent: string | null; inParent: [number, number, number]; inOwn:
 const PLACES: Record<string, Place> = {
   pelvis: { parent: null, inParent: [0, 0, 0], inOwn: [0, 0, 0] },
   torso: { parent: "pelvis", inParent: [0, 0, 0], inOwn: [0, -TRUNK / 2, 0] },
+  head: { parent: "torso", inParent: [0, TRUNK / 2, 0], inOwn: [0, 0, 0] },
 };
 for (const [side, z] of [["r", 1], ["l", -1]] as const) {
   PLACES[`upper_arm_${side}`] = { parent: "torso", inParent: [0, TRUNK / 2, z * SHOULDER], inOwn: [0, 0, 0] };
   PLACES[`forearm_${side}`] = { parent: `upper_arm_${side}`, inParent: [0, -UPPER_ARM, 0], inOwn: [0, 0, 0] };
   PLACES[`thigh_${side}`] = { parent: "pelvis", inParent: [0, 0, z * HIP], inOwn: [0, 0, 0] };
   PLACES[`shank_${side}`] = { parent: `thigh_${side}`, inParent: [0, -THIGH, 0], inOwn: [0, 0, 0] };
+  PLACES[`hand_${side}`] = { parent: `forearm_${side}`, inParent: [0, -FOREARM, 0], inOwn: [0, 0, 0] };
+  PLACES[`foot_${side}`] = { parent: `shank_${side}`, inParent: [0, -SHANK, 0], inOwn: [0, 0, 0] };
 }
 
 function ball(x: number, y: number, z: number, size: [number, number, number]): THREE.BufferGeometry {
@@ -63,21 +69,36 @@ function solids(name: string): THREE.BufferGeometry[] {
       return [
         ball(0, 0.055, 0, [0.062, 0.105, 0.112]),
         ball(0, -0.07, 0, [0.052, 0.08, 0.08]),
-        new THREE.CylinderGeometry(0.025, 0.028, 0.06, 16).translate(0, TRUNK / 2 + 0.02, 0),
-        ball(0.01, TRUNK / 2 + 0.105, 0, [0.052, 0.066, 0.046]),
+      ];
+    case "head":
+      return [
+        new THREE.CylinderGeometry(0.025, 0.028, 0.06, 16).translate(0, 0.02, 0),
+        ball(0.01, HEAD - 0.066, 0, [0.052, 0.066, 0.046]),
         // The nose: which way it looks.
-        new THREE.ConeGeometry(0.012, 0.03, 12).rotateZ(-Math.PI / 2).translate(0.072, TRUNK / 2 + 0.1, 0),
+        new THREE.ConeGeometry(0.012, 0.03, 12).rotateZ(-Math.PI / 2).translate(0.072, HEAD - 0.071, 0),
       ];
     case "pelvis":
       return [ball(0, 0.01, 0, [0.056, 0.055, 0.092])];
     case "upper_arm":
       return limb(0.026, UPPER_ARM);
     case "forearm":
-      return [...limb(0.021, FOREARM), ball(0, -FOREARM - 0.035, 0, [0.022, 0.045, 0.011])];
+      return limb(0.021, FOREARM);
+    case "hand":
+      // Palm and fingers, and the thumb, which points forward.
+      return [ball(0, -0.46 * HAND, 0, [0.022, 0.46 * HAND, 0.01]), ball(0.022, -0.3 * HAND, 0, [0.008, 0.024, 0.008])];
     case "thigh":
       return limb(0.043, THIGH);
     case "shank":
-      return [...limb(0.031, SHANK), new THREE.BoxGeometry(0.13, 0.034, 0.05).translate(0.038, -SHANK - 0.02, 0)];
+      return limb(0.031, SHANK);
+    case "foot": {
+      // Heel, sole and toes; flat below.
+      const [heel, ball_of] = [-0.027, 0.7 * TOES];
+      return [
+        new THREE.BoxGeometry(ball_of - heel, ANKLE - 0.006, 0.046).translate((ball_of + heel) / 2, -ANKLE / 2 - 0.003, 0),
+        new THREE.CylinderGeometry(0.023, 0.023, 0.02, 20).scale((TOES - ball_of) / 0.023, 1, 1).translate(ball_of, -ANKLE + 0.01, 0),
+        ball(0, -0.006, 0, [0.026, 0.02, 0.022]),
+      ];
+    }
     default:
       return [];
   }

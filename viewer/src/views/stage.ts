@@ -101,9 +101,11 @@ export class StageView implements View {
   private drawBody(body: FigureMessage): void {
     this.body.update(body, this.context.model.hello?.height_m ?? null);
     const good = body.segments.filter(({ state }) => state === "ok").length;
+    // Head, hands and feet that wear nothing are not counted.
+    const worn = body.segments.filter(({ sensor, state }) => sensor !== null || state === "missing").length;
     const heading = body.heading === "held" ? `, heading held for ${body.heading_held_s.toFixed(0)} s` : "";
     const place = { trackers: "", feet: ", place by its feet", held: ", place as last seen", origin: ", place not known" }[body.position_source];
-    setText(this.bodySummary, `body: ${good} of ${body.segments.length} segments measured${heading}${place}`);
+    setText(this.bodySummary, `body: ${good} of ${worn} segments measured${heading}${place}`);
   }
 
   /** The slice where the operator wants it. */

@@ -13,7 +13,7 @@ use posed_geometry::so3::exp;
 const SINGULAR: f64 = 1e-6;
 
 /// Angles of a body; their meaning, axes and signs are in the table of `docs/body.md`.
-pub const ANGLES: usize = 25;
+pub const ANGLES: usize = 38;
 
 /// How columns and fields of the angles are named: joint, side where there is one, angle.
 pub const ANGLE_NAMES: [&str; ANGLES] = [
@@ -42,6 +42,19 @@ pub const ANGLE_NAMES: [&str; ANGLES] = [
     "hip_l_adduction",
     "hip_l_rotation",
     "knee_l_flexion",
+    "neck_flexion",
+    "neck_lateral",
+    "neck_rotation",
+    "wrist_r_flexion",
+    "wrist_r_deviation",
+    "ankle_r_flexion",
+    "ankle_r_inversion",
+    "ankle_r_rotation",
+    "wrist_l_flexion",
+    "wrist_l_deviation",
+    "ankle_l_flexion",
+    "ankle_l_inversion",
+    "ankle_l_rotation",
 ];
 
 /// Where the angles of the joint above a segment are in [`ANGLE_NAMES`]; empty for the pelvis.
@@ -57,6 +70,11 @@ pub fn of_joint(segment: BodySegment) -> std::ops::Range<usize> {
         BodySegment::ForearmL => 19..21,
         BodySegment::ThighL => 21..24,
         BodySegment::ShankL => 24..25,
+        BodySegment::Head => 25..28,
+        BodySegment::HandR => 28..30,
+        BodySegment::FootR => 30..33,
+        BodySegment::HandL => 33..35,
+        BodySegment::FootL => 35..38,
     }
 }
 
@@ -78,7 +96,7 @@ pub fn angles(orientations: &[Option<UnitQuaternion<f64>>; SEGMENTS]) -> [Option
 }
 
 /// Angles of the joint above a segment, rad, from segment to parent; as many as [`of_joint`] has, the rest zero. Decomposed
-/// as ISB recommends (Wu et al. 2002, 2005): Z-X-Y, shoulder Y-X-Y, left joints as in a mirror.
+/// as ISB recommends (Wu et al. 2002, 2005): Z-X-Y, shoulder Y-X-Y, left joints as in a mirror; the wrist X-Z-Y, since the forearm's x points to the thumb here.
 ///
 /// Where the sequence is singular (middle angle of 90 degrees, for the shoulder 0 or 180) the first angle is zero and the
 /// last has both.
@@ -86,7 +104,7 @@ pub fn joint_angles(segment: BodySegment, q_parent_segment: &UnitQuaternion<f64>
     let right = to_right(segment, q_parent_segment);
     match segment {
         BodySegment::Pelvis => [0.0; 5],
-        BodySegment::Torso => {
+        BodySegment::Torso | BodySegment::Head => {
             let [z, x, y] = zxy(&right);
             [-z, x, y, 0.0, 0.0]
         }
@@ -99,9 +117,15 @@ pub fn joint_angles(segment: BodySegment, q_parent_segment: &UnitQuaternion<f64>
             let [flexion, _, pronation] = zxy(&right);
             [flexion, pronation, 0.0, 0.0, 0.0]
         }
-        BodySegment::ThighR | BodySegment::ThighL => {
+        // Of the ankle: dorsiflexion, inversion, rotation inwards.
+        BodySegment::ThighR | BodySegment::ThighL | BodySegment::FootR | BodySegment::FootL => {
             let [flexion, adduction, rotation] = zxy(&right);
             [flexion, adduction, rotation, 0.0, 0.0]
+        }
+        // A hand does not turn about the forearm: what is left of that is in neither angle.
+        BodySegment::HandR | BodySegment::HandL => {
+            let [flexion, deviation] = xz(&right);
+            [flexion, -deviation, 0.0, 0.0, 0.0]
         }
         BodySegment::ShankR | BodySegment::ShankL => [-zxy(&right)[0], 0.0, 0.0, 0.0, 0.0],
     }
@@ -114,12 +138,15 @@ pub fn joint_rotation(segment: BodySegment, angles: &[f64]) -> UnitQuaternion<f6
     let (x, y, z) = (Vector3::x(), Vector3::y(), Vector3::z());
     let right = match segment {
         BodySegment::Pelvis => UnitQuaternion::identity(),
-        BodySegment::Torso => exp(&(-z * angle(0))) * exp(&(x * angle(1))) * exp(&(y * angle(2))),
+        BodySegment::Torso | BodySegment::Head => {
+            exp(&(-z * angle(0))) * exp(&(x * angle(1))) * exp(&(y * angle(2)))
+        }
         BodySegment::UpperArmR | BodySegment::UpperArmL => {
             exp(&(y * angle(0))) * exp(&(-x * angle(1))) * exp(&(y * angle(2)))
         }
         BodySegment::ForearmR | BodySegment::ForearmL => exp(&(z * angle(0))) * exp(&(y * angle(1))),
-        BodySegment::ThighR | BodySegment::ThighL => {
+        BodySegment::HandR | BodySegment::HandL => exp(&(x * angle(0))) * exp(&(-z * angle(1))),
+        BodySegment::ThighR | BodySegment::ThighL | BodySegment::FootR | BodySegment::FootL => {
             exp(&(z * angle(0))) * exp(&(x * angle(1))) * exp(&(y * angle(2)))
         }
         BodySegment::ShankR | BodySegment::ShankL => exp(&(-z * angle(0))),
@@ -144,6 +171,16 @@ fn zxy(q: &UnitQuaternion<f64>) -> [f64; 3] {
         return [0.0, b, libm::atan2(m[(0, 2)], m[(0, 0)])];
     }
     [libm::atan2(-m[(0, 1)], m[(1, 1)]), b, libm::atan2(-m[(2, 0)], m[(2, 2)])]
+}
+
+/// The first two angles of `R_x(a) R_z(b) R_y(c)`.
+fn xz(q: &UnitQuaternion<f64>) -> [f64; 2] {
+    let m = q.to_rotation_matrix().into_inner();
+    let b = libm::asin((-m[(0, 1)]).clamp(-1.0, 1.0));
+    if libm::cos(b) < SINGULAR {
+        return [0.0, b];
+    }
+    [libm::atan2(m[(2, 1)], m[(1, 1)]), b]
 }
 
 /// Angles of `R_y(a) R_x(-b) R_y(c)` with b from 0 to pi.

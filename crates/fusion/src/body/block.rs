@@ -43,6 +43,7 @@ impl BlockKind {
             "t_pose" => return Some(Self::TPose),
             "bow" => return Some(Self::Bow),
             "trunk_rotation" => return Some(Self::TrunkRotation),
+            "neck_flexion" => return Some(Self::Move(BodySegment::Head, Movement::Flexion)),
             _ => {}
         }
         let (rest, right) = match name.strip_suffix("_r") {
@@ -56,6 +57,8 @@ impl BlockKind {
             "shoulder" => side(BodySegment::UpperArmR, BodySegment::UpperArmL),
             "knee" => side(BodySegment::ShankR, BodySegment::ShankL),
             "hip" => side(BodySegment::ThighR, BodySegment::ThighL),
+            "wrist" => side(BodySegment::HandR, BodySegment::HandL),
+            "ankle" => side(BodySegment::FootR, BodySegment::FootL),
             _ => return None,
         };
         let movement = match movement {
@@ -75,12 +78,15 @@ impl BlockKind {
             Self::TPose => return "t_pose".into(),
             Self::Bow => return "bow".into(),
             Self::TrunkRotation => return "trunk_rotation".into(),
+            Self::Move(BodySegment::Head, _) => return "neck_flexion".into(),
             Self::Move(segment, movement) => (segment, movement),
         };
         let joint = match segment {
             BodySegment::ForearmR | BodySegment::ForearmL => "elbow",
             BodySegment::ShankR | BodySegment::ShankL => "knee",
             BodySegment::ThighR | BodySegment::ThighL => "hip",
+            BodySegment::HandR | BodySegment::HandL => "wrist",
+            BodySegment::FootR | BodySegment::FootL => "ankle",
             _ => "shoulder",
         };
         let movement = match movement {

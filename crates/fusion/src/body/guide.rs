@@ -82,7 +82,7 @@ pub struct Guide {
 
 impl Guide {
     /// Longest calibration, s: whoever takes longer has gone away. It is for the caller to stop then.
-    pub const LONGEST_S: f64 = 300.0;
+    pub const LONGEST_S: f64 = 600.0;
 
     /// For these sensors, by [`BodySegment::index`]; `magnetic` where all of them have magnetometers: without, every sensor
     /// needs a movement, whatever `how` asks for.
@@ -272,7 +272,14 @@ impl Guide {
 }
 
 fn arms(present: &[bool; SEGMENTS]) -> impl Iterator<Item = usize> + '_ {
-    let arms = [BodySegment::UpperArmR, BodySegment::ForearmR, BodySegment::UpperArmL, BodySegment::ForearmL];
+    let arms = [
+        BodySegment::UpperArmR,
+        BodySegment::ForearmR,
+        BodySegment::UpperArmL,
+        BodySegment::ForearmL,
+        BodySegment::HandR,
+        BodySegment::HandL,
+    ];
     arms.into_iter().map(BodySegment::index).filter(|index| present[*index])
 }
 
@@ -300,7 +307,7 @@ fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<B
         if with_arms {
             steps.push(BlockKind::NPose);
         }
-        let bends = LIMBS.into_iter().filter(|limb| has(*limb));
+        let bends = LIMBS.into_iter().chain(BodySegment::EXTREMITIES).filter(|limb| has(*limb));
         steps.extend(bends.map(|limb| BlockKind::Move(limb, Movement::Flexion)));
         if has(BodySegment::Torso) || has(BodySegment::Pelvis) {
             steps.push(BlockKind::Bow);
@@ -322,7 +329,10 @@ fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<B
     steps.extend(moved.map(|moved| BlockKind::Move(moved, Movement::Flexion)));
     if !magnetic {
         let thighs = [BodySegment::ThighR, BodySegment::ThighL].into_iter().filter(|thigh| has(*thigh));
-        steps.extend(thighs.map(|thigh| BlockKind::Move(thigh, Movement::Flexion)));
+        // The T-pose shows how hands are turned.
+        let ends =
+            [BodySegment::Head, BodySegment::FootR, BodySegment::FootL].into_iter().filter(|end| has(*end));
+        steps.extend(thighs.chain(ends).map(|moved| BlockKind::Move(moved, Movement::Flexion)));
         if has(BodySegment::Torso) || has(BodySegment::Pelvis) {
             steps.push(BlockKind::Bow);
         }
@@ -330,9 +340,17 @@ fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<B
         steps.push(BlockKind::NPose);
     } else if !with_arms && !full {
         // Something must show which way the body faces.
-        let leg = [BodySegment::ShankR, BodySegment::ShankL, BodySegment::ThighR, BodySegment::ThighL]
-            .into_iter()
-            .find(|s| has(*s));
+        let leg = [
+            BodySegment::ShankR,
+            BodySegment::ShankL,
+            BodySegment::ThighR,
+            BodySegment::ThighL,
+            BodySegment::FootR,
+            BodySegment::FootL,
+            BodySegment::Head,
+        ]
+        .into_iter()
+        .find(|s| has(*s));
         steps.push(leg.map_or(BlockKind::Bow, |leg| BlockKind::Move(leg, Movement::Flexion)));
     }
     steps
@@ -369,6 +387,21 @@ fn words(kind: BlockKind) -> &'static str {
         }
         BlockKind::Move(BodySegment::UpperArmL, _) => {
             "Lift the stretched left arm forward, three times; then stand still"
+        }
+        BlockKind::Move(BodySegment::Head, _) => {
+            "Nod, chin to the chest and up again, three times; then stand still"
+        }
+        BlockKind::Move(BodySegment::HandR, _) => {
+            "Bend the right wrist towards the palm and back, three times; then stand still"
+        }
+        BlockKind::Move(BodySegment::HandL, _) => {
+            "Bend the left wrist towards the palm and back, three times; then stand still"
+        }
+        BlockKind::Move(BodySegment::FootR, _) => {
+            "Raise the toes of the right foot, heel on the floor, three times; then stand still"
+        }
+        BlockKind::Move(BodySegment::FootL, _) => {
+            "Raise the toes of the left foot, heel on the floor, three times; then stand still"
         }
         BlockKind::Move(..) => "Lift the stretched right arm forward, three times; then stand still",
     }

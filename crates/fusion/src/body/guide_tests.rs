@@ -34,7 +34,7 @@ fn guided(case: &Case) -> (Vec<String>, Option<f64>) {
     record(&mut wearer, case.begin_s);
     let mut guide = Guide::new([true; SEGMENTS], case.magnetometer, case.how);
     let mut objections = Vec::new();
-    for _ in 0..240 {
+    for _ in 0..300 {
         for (t_s, samples) in record(&mut wearer, 1.0).0 {
             guide.push(t_s, &samples);
             let (count, objection) = guide.objection();

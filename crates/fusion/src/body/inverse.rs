@@ -2,7 +2,8 @@
 //!
 //! In: poses of trackers worn on segments, as few or as many as there are. Out: all segments and the hips' mid-point, so
 //! that positions and orientations of the trackers fit best. What no tracker shows stays as it was in the frame before, and
-//! straight at first. Joints keep their axes: knees do not twist, elbows do not bend sideways.
+//! straight at first. Joints keep their axes: knees do not twist, elbows do not bend sideways. Head, hands and feet are turned as their trackers are, and their
+//! places say where neck, wrists and ankles are.
 //!
 //! Levenberg's method on 27 numbers: position and rotation of the pelvis, three angles of the spine, and per limb three of the
 //! ball joint and two or one of the hinge; ball joints step on SO(3). Derivatives by differences: a tracker moves only with
@@ -61,6 +62,10 @@ struct Joints {
     /// Elbows.
     elbows: [[f64; 2]; 2],
     knees: [f64; 2],
+    /// [`BodySegment::EXTREMITIES`] against their parents; where a tracker shows one, by that in [`Self::shown`].
+    ends: [UnitQuaternion<f64>; 5],
+    /// To the room, as a tracker on it shows it now.
+    shown: [Option<UnitQuaternion<f64>>; 5],
 }
 
 const BALLS: [BodySegment; 5] = [
@@ -90,6 +95,8 @@ impl Follower {
             balls: [UnitQuaternion::identity(); 5],
             elbows: [[0.1, 0.0]; 2],
             knees: [0.1; 2],
+            ends: [UnitQuaternion::identity(); 5],
+            shown: [None; 5],
         };
         Self { skeleton, joints, started: false }
     }
@@ -101,6 +108,10 @@ impl Follower {
         if !self.started {
             self.start(trackers, first);
         }
+        self.joints.shown = BodySegment::EXTREMITIES.map(|end| {
+            let tracker = trackers.iter().find(|tracker| tracker.segment == end)?;
+            Some(tracker.room_from_sensor.rotation * tracker.segment_from_sensor.rotation.inverse())
+        });
         let before = self.joints;
         let mut cost = self.cost(&self.joints, &before, trackers);
         let mut damping = 1e-4;
@@ -124,6 +135,11 @@ impl Follower {
                     break;
                 }
             }
+        }
+        // Without its tracker it stays as it is against its parent.
+        let all = self.joints.orientations();
+        for (end, segment) in self.joints.ends.iter_mut().zip(BodySegment::EXTREMITIES) {
+            *end = all[above(segment).index()].inverse() * all[segment.index()];
         }
         Some(self.figure(trackers))
     }
@@ -217,8 +233,7 @@ impl Joints {
     fn orientations(&self) -> [UnitQuaternion<f64>; SEGMENTS] {
         let mut all = [self.pelvis; SEGMENTS];
         for (segment, ball) in BALLS.into_iter().zip(&self.balls) {
-            let parent = segment.parent().unwrap_or(BodySegment::Pelvis);
-            all[segment.index()] = all[parent.index()] * ball;
+            all[segment.index()] = all[above(segment).index()] * ball;
         }
         let hinges: [(BodySegment, BodySegment, &[f64]); 4] = [
             (BodySegment::ForearmR, BodySegment::UpperArmR, &self.elbows[0]),
@@ -228,6 +243,9 @@ impl Joints {
         ];
         for (segment, parent, angles) in hinges {
             all[segment.index()] = all[parent.index()] * joint_rotation(segment, angles);
+        }
+        for (k, segment) in BodySegment::EXTREMITIES.into_iter().enumerate() {
+            all[segment.index()] = self.shown[k].unwrap_or(all[above(segment).index()] * self.ends[k]);
         }
         all
     }
@@ -266,10 +284,15 @@ impl Joints {
     }
 }
 
+/// The segment that another hangs on.
+fn above(segment: BodySegment) -> BodySegment {
+    segment.parent().unwrap_or(BodySegment::Pelvis)
+}
+
 /// Elbow and knee angles, for a test of the hinges.
 #[cfg(test)]
 pub(super) fn hinge_angle(figure: &Figure, segment: BodySegment) -> f64 {
-    let parent = segment.parent().unwrap_or(BodySegment::Pelvis);
+    let parent = above(segment);
     let q = figure.orientations[parent.index()].inverse() * figure.orientations[segment.index()];
     super::joint_angles(segment, &q)[0]
 }

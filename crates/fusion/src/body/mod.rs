@@ -1,4 +1,4 @@
-//! The whole body: ten IMUs at most, one skeleton, live.
+//! The whole body: an IMU on each segment at most, one skeleton, live.
 //!
 //! In: samples of the worn IMUs at one time, with the time since the ones before; how each sits on its segment
 //! ([`SensorMount`]). Out: a [`BodyEstimate`]: segment orientations, joint angles, their uncertainty, and the health of every
@@ -7,6 +7,7 @@
 //!
 //! ```text
 //! torso, pelvis:  sensor ──> ahrs ────────────────────────────> segment orientation, and the base of its limbs
+//! extremities:    sensor ──> ahrs ────────────────────────────> segment orientation
 //! limbs:          sensor ──> ahrs ── heading only ──┐
 //!                 sensor ── gyro, accelerometer ────┴> limb ──> joint angles ──> segment orientations
 //! ```
@@ -33,6 +34,7 @@ mod tests;
 mod travel;
 #[cfg(test)]
 mod travel_tests;
+mod whole;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_state::Plain;
@@ -50,6 +52,7 @@ pub use posture::orientations;
 pub use skeleton::{BodySegment, Limb, SEGMENTS, Skeleton, upright};
 pub use spread::{AngleSpread, independent};
 pub use travel::Travel;
+pub use whole::{WHOLE, WholeSegment, whole, whole_t_pose};
 
 use super::ahrs::{Ahrs, CALIBRATED_HEADING_RAD, CALIBRATED_TILT_RAD, ImuSample, Params};
 use super::faults::Cause;
@@ -387,10 +390,10 @@ impl BodyFilter {
 
     fn publish(&mut self, own: &[Option<UnitQuaternion<f64>>; SEGMENTS], bases: &[Base; 2], dt_s: f64) {
         let out = &mut self.estimate;
-        for trunk in [BodySegment::Torso, BodySegment::Pelvis] {
-            out.orientations[trunk.index()] = own[trunk.index()];
-            if let Some(sensor) = &self.sensors[trunk.index()] {
-                out.sigma_rad[trunk.index()] = sensor.systematic_rad(self.held_s);
+        for alone in [BodySegment::Torso, BodySegment::Pelvis].into_iter().chain(BodySegment::EXTREMITIES) {
+            out.orientations[alone.index()] = own[alone.index()];
+            if let Some(sensor) = &self.sensors[alone.index()] {
+                out.sigma_rad[alone.index()] = sensor.systematic_rad(self.held_s);
             }
         }
         for (limb, filter) in Limb::ALL.into_iter().zip(&self.limbs) {

@@ -1,4 +1,4 @@
-//! Ten rigid bodies: which there are, how long they are, and where their joints sit.
+//! The rigid bodies that can wear a sensor: which there are, how long they are, and where their joints sit.
 //!
 //! In: a height, or measured lengths. Out: joint centres in segment frames, and points of the whole body from its
 //! segments' orientations. It never decides an orientation. The table that both this file and `angles.rs`
@@ -9,10 +9,10 @@ use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
 /// Body segments: the length of all arrays over them.
-pub const SEGMENTS: usize = 10;
+pub const SEGMENTS: usize = 15;
 
-/// One of the ten rigid bodies of Weber et al. (2011). Axes of each in the N-pose: x forward, y up, z to the right; the
-/// origin of a limb's segment is the joint above it.
+/// One of the rigid bodies: the ten of Weber et al. (2011), then what ends the chains. Axes of each in the N-pose: x forward, y up, z to the
+/// right; the origin of a limb's segment, of the head, of hands and feet is the joint above it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, Plain)]
 pub enum BodySegment {
     /// Chest and everything that moves with it.
@@ -35,6 +35,16 @@ pub enum BodySegment {
     ThighL,
     /// Left shank and foot.
     ShankL,
+    /// Head and neck.
+    Head,
+    /// Right hand.
+    HandR,
+    /// Right foot.
+    FootR,
+    /// Left hand.
+    HandL,
+    /// Left foot.
+    FootL,
 }
 
 impl BodySegment {
@@ -50,7 +60,15 @@ impl BodySegment {
         Self::ForearmL,
         Self::ThighL,
         Self::ShankL,
+        Self::Head,
+        Self::HandR,
+        Self::FootR,
+        Self::HandL,
+        Self::FootL,
     ];
+
+    /// What ends the chains of the others. No limb's filter knows them: each goes by its own sensor, and hangs straight without one.
+    pub const EXTREMITIES: [Self; 5] = [Self::Head, Self::HandR, Self::FootR, Self::HandL, Self::FootL];
 
     /// Its name in files and messages.
     pub fn name(self) -> &'static str {
@@ -65,6 +83,11 @@ impl BodySegment {
             Self::ForearmL => "forearm_l",
             Self::ThighL => "thigh_l",
             Self::ShankL => "shank_l",
+            Self::Head => "head",
+            Self::HandR => "hand_r",
+            Self::FootR => "foot_r",
+            Self::HandL => "hand_l",
+            Self::FootL => "foot_l",
         }
     }
 
@@ -73,7 +96,7 @@ impl BodySegment {
         Self::ALL.into_iter().find(|segment| segment.name() == name)
     }
 
-    /// Its place in arrays over segments, from 0 to 9, in the order of [`Self::ALL`].
+    /// Its place in arrays over segments, from 0 to 14, in the order of [`Self::ALL`].
     pub fn index(self) -> usize {
         self as usize
     }
@@ -83,20 +106,26 @@ impl BodySegment {
         match self {
             Self::Pelvis => None,
             Self::Torso | Self::ThighR | Self::ThighL => Some(Self::Pelvis),
-            Self::UpperArmR | Self::UpperArmL => Some(Self::Torso),
+            Self::UpperArmR | Self::UpperArmL | Self::Head => Some(Self::Torso),
             Self::ForearmR => Some(Self::UpperArmR),
             Self::ForearmL => Some(Self::UpperArmL),
             Self::ShankR => Some(Self::ThighR),
             Self::ShankL => Some(Self::ThighL),
+            Self::HandR => Some(Self::ForearmR),
+            Self::HandL => Some(Self::ForearmL),
+            Self::FootR => Some(Self::ShankR),
+            Self::FootL => Some(Self::ShankL),
         }
     }
 
     /// 1 on the right, -1 on the left, 0 in the middle.
     pub fn side(self) -> f64 {
         match self {
-            Self::Torso | Self::Pelvis => 0.0,
-            Self::UpperArmR | Self::ForearmR | Self::ThighR | Self::ShankR => 1.0,
-            Self::UpperArmL | Self::ForearmL | Self::ThighL | Self::ShankL => -1.0,
+            Self::Torso | Self::Pelvis | Self::Head => 0.0,
+            Self::UpperArmR | Self::ForearmR | Self::ThighR | Self::ShankR | Self::HandR | Self::FootR => 1.0,
+            Self::UpperArmL | Self::ForearmL | Self::ThighL | Self::ShankL | Self::HandL | Self::FootL => {
+                -1.0
+            }
         }
     }
 }
@@ -148,12 +177,19 @@ pub struct Skeleton {
     pub shank_m: f64,
     /// Ankle to floor, m.
     pub foot_m: f64,
+    /// From the shoulders' mid-point, where head and neck turn, to the top of the head, m.
+    pub head_m: f64,
+    /// Wrist to finger tips, m.
+    pub hand_m: f64,
+    /// Ankle to tip of the toes along the floor, m.
+    pub toes_m: f64,
 }
 
 impl Skeleton {
     /// Lengths in proportion to the height, m: Drillis & Contini 1966, as Winter 2009 prints them. Their 0.191 for the hips is the breadth over the
     /// bones; the joints' centres lie 0.1 of the height apart (Bell et al. 1990: each 14 % of the distance between the front iliac spines from its side, which
-    /// is some 0.14 of the height).
+    /// is some 0.14 of the height). Head, neck and shoulders make up what is left of the height; the toes' tip lies 0.125 of it ahead of the ankle (foot 0.152
+    /// of it, of which a fifth is heel).
     pub fn from_height(height_m: f64) -> Self {
         Self {
             shoulder_half_m: 0.129 * height_m,
@@ -164,6 +200,9 @@ impl Skeleton {
             thigh_m: 0.245 * height_m,
             shank_m: 0.246 * height_m,
             foot_m: 0.039 * height_m,
+            head_m: 0.182 * height_m,
+            hand_m: 0.108 * height_m,
+            toes_m: 0.125 * height_m,
         }
     }
 
@@ -178,6 +217,9 @@ impl Skeleton {
             BodySegment::ThighR | BodySegment::ThighL => Vector3::new(0.0, 0.0, side * self.hip_half_m),
             BodySegment::ForearmR | BodySegment::ForearmL => Vector3::new(0.0, -self.upper_arm_m, 0.0),
             BodySegment::ShankR | BodySegment::ShankL => Vector3::new(0.0, -self.thigh_m, 0.0),
+            BodySegment::Head => Vector3::new(0.0, 0.5 * self.trunk_m, 0.0),
+            BodySegment::HandR | BodySegment::HandL => Vector3::new(0.0, -self.forearm_m, 0.0),
+            BodySegment::FootR | BodySegment::FootL => Vector3::new(0.0, -self.shank_m, 0.0),
         }
     }
 
@@ -190,8 +232,8 @@ impl Skeleton {
         }
     }
 
-    /// The segment's far end in its own frame, m: shoulders' mid-point (torso), elbow, wrist, knee, ankle; zero for the
-    /// pelvis.
+    /// The segment's far end in its own frame, m: shoulders' mid-point (torso), elbow, wrist, knee, ankle, top of the
+    /// head, finger tips, tip of the toes; zero for the pelvis.
     pub fn end_in_segment_m(&self, segment: BodySegment) -> Vector3<f64> {
         match segment {
             BodySegment::Torso => Vector3::new(0.0, 0.5 * self.trunk_m, 0.0),
@@ -200,11 +242,14 @@ impl Skeleton {
             BodySegment::ForearmR | BodySegment::ForearmL => Vector3::new(0.0, -self.forearm_m, 0.0),
             BodySegment::ThighR | BodySegment::ThighL => Vector3::new(0.0, -self.thigh_m, 0.0),
             BodySegment::ShankR | BodySegment::ShankL => Vector3::new(0.0, -self.shank_m, 0.0),
+            BodySegment::Head => Vector3::new(0.0, self.head_m, 0.0),
+            BodySegment::HandR | BodySegment::HandL => Vector3::new(0.0, -self.hand_m, 0.0),
+            BodySegment::FootR | BodySegment::FootL => Vector3::new(self.toes_m, -self.foot_m, 0.0),
         }
     }
 
-    /// Where a sensor counts as sitting if that is not given, segment frame, m: in the middle of a limb's segment, at the
-    /// origin of the trunk's.
+    /// Where a sensor counts as sitting if that is not given, segment frame, m: in the middle of a limb's segment, half
+    /// way to the end of head, hand and foot, at the origin of the trunk's.
     pub fn usual_sensor_m(&self, segment: BodySegment) -> Vector3<f64> {
         0.5 * self.joint_in_segment_m(segment) + 0.5 * self.end_in_segment_m(segment)
     }
@@ -258,6 +303,11 @@ impl Skeleton {
         BodySegment::ShankR,
         BodySegment::ThighL,
         BodySegment::ShankL,
+        BodySegment::Head,
+        BodySegment::HandR,
+        BodySegment::FootR,
+        BodySegment::HandL,
+        BodySegment::FootL,
     ];
 }
 

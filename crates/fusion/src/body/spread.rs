@@ -7,6 +7,7 @@
 use nalgebra::{Matrix3, SMatrix, UnitQuaternion, Vector3};
 use posed_state::Plain;
 use serde::{Deserialize, Serialize};
+use serde_big_array::BigArray;
 
 use super::BodyFilter;
 use super::angles::{ANGLES, joint_angles, of_joint};
@@ -23,10 +24,11 @@ const SINGULAR: f64 = 1e-4;
 
 /// How uncertain the angles of a body are: the filter's covariance and the systematic errors of calibrated sensors, no soft
 /// tissue. How far it is right: `docs/body.md`; equations: `docs/methods/body.md`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Plain)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Plain)]
 pub struct AngleSpread {
     /// Standard deviation of each angle, rad, in the order of [`super::ANGLE_NAMES`]; at most pi / sqrt(3), that of an
     /// unknown angle. Zero for a joint that was not set: its angle is `None`.
+    #[serde(with = "BigArray")]
     pub sigma_rad: [f64; ANGLES],
     /// By the segment below the joint ([`BodySegment::index`]): covariance of its independent angles, rad², order of
     /// [`super::joint_angles`]: the upper triangle row by row, for as many angles as [`independent`] gives, the rest zero.
@@ -37,6 +39,12 @@ pub struct AngleSpread {
 /// follow from its plane and elevation.
 pub fn independent(segment: BodySegment) -> usize {
     of_joint(segment).len().min(3)
+}
+
+impl Default for AngleSpread {
+    fn default() -> Self {
+        Self { sigma_rad: [0.0; ANGLES], covariance_rad2: [[0.0; 6]; SEGMENTS] }
+    }
 }
 
 impl AngleSpread {
@@ -91,7 +99,7 @@ impl BodyFilter {
             let (Some(above), Some(q)) = (orientations[parent.index()], orientations[segment.index()]) else {
                 continue;
             };
-            let hinged = of_joint(segment).len() < 3;
+            let hinged = Limb::ALL.into_iter().any(|limb| limb.segments()[2] == segment);
             let shaken = if segment == BodySegment::Torso { TRUNK_RAD2 } else { LIMB_RAD2 };
             let up = q.inverse() * Vector3::z();
             let level = [parent, segment].into_iter().filter_map(|of| self.sensors[of.index()].as_ref());
@@ -127,9 +135,18 @@ fn derivative(segment: BodySegment, q_parent_segment: &UnitQuaternion<f64>) -> S
             let last = about(y, -angles[1]);
             [last * z, y, last * x]
         }
-        BodySegment::Torso | BodySegment::ThighR | BodySegment::ThighL => {
+        BodySegment::HandR | BodySegment::HandL => {
+            // About itself a hand is not turned against the forearm, as far as the joint goes.
+            [about(z, angles[1]) * x, -z, y]
+        }
+        BodySegment::Torso
+        | BodySegment::Head
+        | BodySegment::ThighR
+        | BodySegment::ThighL
+        | BodySegment::FootR
+        | BodySegment::FootL => {
             let [_, b, c, ..] = angles;
-            let sign = if segment == BodySegment::Torso { -1.0 } else { 1.0 };
+            let sign = if matches!(segment, BodySegment::Torso | BodySegment::Head) { -1.0 } else { 1.0 };
             let last = about(y, -c);
             [last * about(x, -b) * z * sign, last * x, y]
         }

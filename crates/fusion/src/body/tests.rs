@@ -155,10 +155,15 @@ fn a_body_is_calibrated_and_followed() {
     {
         let mut wearer = wearer(activity, magnetometer, 7);
         let begin_s = script(activity).activity_s();
-        let (recording, truth) = record(&mut wearer, begin_s + 15.0);
+        let (mut recording, truth) = record(&mut wearer, begin_s + 15.0);
+        // Without magnetometers each of them needs a movement that this script does not have.
+        let worn = BodySegment::ALL.map(|s| magnetometer || !BodySegment::EXTREMITIES.contains(&s));
+        for (_, samples) in &mut recording {
+            samples.iter_mut().zip(worn).filter(|(_, worn)| !worn).for_each(|(sample, _)| *sample = None);
+        }
         let skeleton = Skeleton::from_height(1.8);
         let found = calibrate(&recording, &blocks(activity), &skeleton, &UNKNOWN).unwrap();
-        for segment in BodySegment::ALL {
+        for segment in BodySegment::ALL.into_iter().filter(|segment| worn[segment.index()]) {
             let off = found.mounts[segment.index()]
                 .unwrap()
                 .q_segment_sensor
@@ -414,7 +419,11 @@ fn trackers_alone_show_the_limbs_between_them() {
         for segment in BodySegment::ALL {
             let off_m = (origins[segment.index()] - truth[segment.index()].origin_m).norm();
             worst_m = worst_m.max(off_m);
-            worst_rad = worst_rad.max(figure.orientations[segment.index()].angle_to(&orientation(segment)));
+            // Feet stand on the floor, which no tracker on them shows.
+            if !matches!(segment, BodySegment::FootR | BodySegment::FootL) {
+                let off_rad = figure.orientations[segment.index()].angle_to(&orientation(segment));
+                worst_rad = worst_rad.max(off_rad);
+            }
         }
         let knee = inverse::hinge_angle(&figure, BodySegment::ShankR);
         let above = orientation(BodySegment::ThighR).inverse() * orientation(BodySegment::ShankR);
@@ -423,6 +432,44 @@ fn trackers_alone_show_the_limbs_between_them() {
     assert!(worst_m < 0.01, "{worst_m} m");
     assert!(worst_rad < 0.06, "{} degrees", worst_rad.to_degrees());
     assert!(follower.push(&[]).is_none());
+}
+
+/// As people wear who play in virtual reality.
+#[test]
+fn head_hands_and_feet_are_turned_as_their_trackers() {
+    use nalgebra::Isometry3;
+    let skeleton = Skeleton::from_height(1.8);
+    let body = posture(
+        "spine_flexion=20 neck_rotation=30 elbow_r_flexion=70 wrist_r_flexion=40 \
+         hip_l_flexion=40 knee_l_flexion=60 ankle_l_flexion=15",
+    );
+    let pelvis_m = V::new(0.4, -0.3, 1.0);
+    let origins = skeleton.origins_m(&body, pelvis_m);
+    let worn = [BodySegment::Pelvis].into_iter().chain(BodySegment::EXTREMITIES);
+    let trackers: Vec<_> = worn
+        .map(|segment| Tracked {
+            segment,
+            room_from_sensor: Isometry3::from_parts(origins[segment.index()].into(), body[segment.index()]),
+            segment_from_sensor: Isometry3::identity(),
+        })
+        .collect();
+    let mut follower = Follower::new(skeleton);
+    let figure = (0..20).filter_map(|_| follower.push(&trackers)).last().unwrap();
+    let found = skeleton.origins_m(&figure.orientations, figure.pelvis_m);
+    for segment in BodySegment::EXTREMITIES {
+        let off_rad = figure.orientations[segment.index()].angle_to(&body[segment.index()]);
+        let off_m = (found[segment.index()] - origins[segment.index()]).norm();
+        assert!(off_rad < 1e-6 && off_m < 0.01, "{segment:?} {off_rad} {off_m}");
+    }
+    // Without its tracker a hand goes with the forearm.
+    let hand = BodySegment::HandR;
+    let without: Vec<_> = trackers.iter().filter(|tracker| tracker.segment != hand).copied().collect();
+    let on = figure.orientations[BodySegment::ForearmR.index()].inverse() * figure.orientations[hand.index()];
+    let figure = follower.push(&without).unwrap();
+    let off = on.angle_to(
+        &(figure.orientations[BodySegment::ForearmR.index()].inverse() * figure.orientations[hand.index()]),
+    );
+    assert!(off < 1e-9, "{off}");
 }
 
 /// Normalised squared error per degree of freedom of every joint, mean over both sides: the angles' error over their covariance.
@@ -437,8 +484,11 @@ fn angles_are_as_sure_as_is_said() {
         BodySegment::ForearmR,
         BodySegment::ThighR,
         BodySegment::ShankR,
+        BodySegment::Head,
+        BodySegment::HandR,
+        BodySegment::FootR,
     ];
-    let mut sums = [(0.0_f64, 0.0_f64); 5];
+    let mut sums = [(0.0_f64, 0.0_f64); 8];
     let activities = [Activity::Walking, Activity::Reaching, Activity::Curls, Activity::Squats];
     for activity in activities.into_iter().take(if long { 4 } else { 2 }) {
         for seed in 1..=seeds {
@@ -477,8 +527,8 @@ fn angles_are_as_sure_as_is_said() {
                     let covariance = nalgebra::DMatrix::from_fn(n, n, |i, j| at(i.min(j), i.max(j)));
                     let off = nalgebra::DVector::from_vec(off);
                     let inverse = covariance.try_inverse().unwrap();
-                    let right = if segment.side() < 0.0 { segment.index() - 4 } else { segment.index() };
-                    let joint = joints.iter().position(|joint| joint.index() == right).unwrap();
+                    let right = segment.name().replace("_l", "_r");
+                    let joint = joints.iter().position(|joint| joint.name() == right).unwrap();
                     sums[joint].0 += (off.transpose() * inverse * &off)[(0, 0)] / n as f64;
                     sums[joint].1 += 1.0;
                 }

@@ -16,8 +16,8 @@ use self::epochs::{Epoch, Epochs};
 use super::PipelineError;
 use crate::frame::Frame;
 use posed_fusion::body::{
-    AngleSpread, BodyEstimate, BodyFilter, BodyParams, BodySegment, Figure, Follower, Heading, SEGMENTS,
-    SensorMount, Skeleton, Tracked, angles,
+    ANGLES, AngleSpread, BodyEstimate, BodyFilter, BodyParams, BodySegment, Figure, Follower, Heading,
+    SEGMENTS, SensorMount, Skeleton, Tracked, angles,
 };
 use posed_fusion::faults::Cause;
 use posed_geometry::{isometry, orientation_from_wxyz, orientation_to_wxyz};
@@ -29,6 +29,8 @@ use posed_stage::{Mounting, Stage};
 /// Expected error of a segment that trackers show, and of one between them, rad.
 const TRACKED_RAD: f64 = 0.05;
 const BETWEEN_RAD: f64 = 0.15;
+/// And how far heads, hands and feet depart from what they hang on, that is known, rad.
+const HANGS_RAD: f64 = 0.35;
 
 #[derive(Clone, Debug, State)]
 pub(super) struct BodyStage {
@@ -113,7 +115,7 @@ impl BodyStage {
                 position_source: PositionSource::Origin,
                 contacts: None,
                 segments: vec![SegmentEstimate::default(); SEGMENTS],
-                angles_rad: Default::default(),
+                angles_rad: [None; ANGLES],
                 spread: AngleSpread::default(),
             },
         }))
@@ -277,8 +279,19 @@ impl BodyStage {
         self.out.heading = found.heading;
         self.out.angles_rad = found.angles_rad;
         self.out.spread = found.spread;
-        for (index, out) in self.out.segments.iter_mut().enumerate() {
-            let shown = found.orientations[index];
+        for (segment, out) in BodySegment::ALL.into_iter().zip(&mut self.out.segments) {
+            let index = segment.index();
+            // A head, a hand or a foot without a sensor hangs straight.
+            let hangs_on = segment.parent().map(BodySegment::index).filter(|parent| {
+                BodySegment::EXTREMITIES.contains(&segment)
+                    && self.wearing[index].is_none()
+                    && found.orientations[*parent].is_some()
+            });
+            let shown = found.orientations[index].or(hangs_on.map(|_| all[index]));
+            let sigma_rad = match hangs_on {
+                Some(parent) => libm::hypot(found.sigma_rad[parent], HANGS_RAD),
+                None => found.sigma_rad[index],
+            };
             let fault = found.faults[index];
             let state = match (shown, fault) {
                 (None, _) => SegmentState::Missing,
@@ -292,7 +305,7 @@ impl BodyStage {
                 sensor: self.wearing[index],
                 position_m: shown.map(|_| (pelvis_m + from_hips[index]).into()),
                 orientation_wxyz: shown.as_ref().map(orientation_to_wxyz),
-                sigma_rad: found.sigma_rad[index],
+                sigma_rad,
             };
         }
     }

@@ -17,8 +17,8 @@ const BALL_M: f64 = 0.04;
 const LINE_M: f64 = 0.035;
 /// Height of the letters of a name, m.
 const LETTERS_M: f64 = 0.05;
-/// Head of the figure in lengths of the trunk: its middle above the shoulders, and its diameter (Drillis & Contini 1966, as the skeleton).
-const HEAD: [f64; 2] = [0.37, 0.45];
+/// Diameter of the figure's head in lengths of head and neck (Drillis & Contini 1966, as the skeleton).
+const SKULL: f64 = 0.71;
 
 /// Seconds and nanoseconds.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
@@ -273,9 +273,9 @@ impl<'a> SceneUpdate<'a> {
             if across[0] != across[1] {
                 line(skeleton.joint_in_parent_m(across[0]), skeleton.joint_in_parent_m(across[1]));
             }
-            if segment == BodySegment::Torso {
-                let [above_m, diameter_m] = HEAD.map(|lengths| lengths * skeleton.trunk_m);
-                let middle = pose * Point3::from(top + Vector3::new(0.0, above_m, 0.0));
+            if segment == BodySegment::Head {
+                let diameter_m = SKULL * skeleton.head_m;
+                let middle = pose * Point3::from(top - Vector3::y() * (0.5 * diameter_m));
                 entity.spheres.push(Solid::ball(middle.coords.into(), diameter_m, color));
             }
         }

@@ -182,18 +182,18 @@ fn what_is_not_good_is_shown_as_such_or_not_at_all() {
 fn the_body_is_a_figure_of_the_right_size() {
     let body = figure();
     let emitted = emitted(&[Payload::Body(&body)]);
-    assert_eq!(emitted["/tf"][0]["transforms"].as_array().unwrap().len(), 8, "two of ten are not good");
+    assert_eq!(emitted["/tf"][0]["transforms"].as_array().unwrap().len(), 13, "two of fifteen are not good");
     let entity = &emitted["/scene/body"][0]["entities"][0];
     let lines = &entity["lines"][0];
     let points = lines["points"].as_array().unwrap();
-    // Nine segments, hips and shoulders, without the missing shank; the pelvis itself has no length.
-    assert_eq!((points.len(), lines["colors"].as_array().unwrap().len()), (2 * 10, 2 * 10));
+    // Fourteen segments, hips and shoulders, without the missing shank; the pelvis itself has no length.
+    assert_eq!((points.len(), lines["colors"].as_array().unwrap().len()), (2 * 15, 2 * 15));
     let heights = || points.iter().map(|point| point["z"].as_f64().unwrap());
     let (low, high) = heights().fold((f64::MAX, f64::MIN), |(low, high), z| (low.min(z), high.max(z)));
-    assert!((low - (1.0 - 0.491 * 1.8)).abs() < 1e-4, "the ankle of the left leg: {low}");
-    assert!((high - (1.0 + 0.288 * 1.8)).abs() < 1e-4, "the shoulders: {high}");
+    assert!((low - (1.0 - 0.53 * 1.8)).abs() < 1e-4, "the soles: {low}");
+    assert!((high - (1.0 + 0.47 * 1.8)).abs() < 1e-4, "the top of the head: {high}");
     let head = entity["spheres"][0]["pose"]["position"]["z"].as_f64().unwrap();
-    assert!(high < head && head < 1.8, "{head}");
+    assert!(1.0 + 0.288 * 1.8 < head && head < high, "{head}");
 }
 
 #[test]

@@ -32,6 +32,11 @@ pub(super) fn name(segment: BodySegment) -> &'static str {
         BodySegment::ForearmL => "LeftLowerArm",
         BodySegment::ThighL => "LeftUpperLeg",
         BodySegment::ShankL => "LeftLowerLeg",
+        BodySegment::Head => "Head",
+        BodySegment::HandR => "RightHand",
+        BodySegment::FootR => "RightFoot",
+        BodySegment::HandL => "LeftHand",
+        BodySegment::FootL => "LeftFoot",
     }
 }
 
@@ -41,7 +46,12 @@ fn rest(segment: BodySegment) -> UnitQuaternion<f64> {
     let upright = UnitQuaternion::new_unchecked(Quaternion::new(0.5, 0.5, 0.5, 0.5));
     let arm = matches!(
         segment,
-        BodySegment::UpperArmR | BodySegment::ForearmR | BodySegment::UpperArmL | BodySegment::ForearmL
+        BodySegment::UpperArmR
+            | BodySegment::ForearmR
+            | BodySegment::HandR
+            | BodySegment::UpperArmL
+            | BodySegment::ForearmL
+            | BodySegment::HandL
     );
     // Raised sideways, about the axis that points forward.
     let raised_rad = if arm { -segment.side() * FRAC_PI_2 } else { 0.0 };
@@ -52,7 +62,9 @@ fn rest(segment: BodySegment) -> UnitQuaternion<f64> {
 pub(super) fn of(body: &Body, skeleton: &Skeleton, heading: UnitQuaternion<f64>, scale: f64) -> Vec<Bone> {
     let pose = |segment: BodySegment| -> Option<Isometry3<f64>> {
         let shown = body.segments.get(segment.index())?;
-        let good = shown.state.is_shown();
+        // Where a head, a hand or a foot is not shown, another program may know better.
+        let guessed = shown.sensor.is_none() && BodySegment::EXTREMITIES.contains(&segment);
+        let good = shown.state.is_shown() && !guessed;
         isometry(shown.position_m.filter(|_| good)?, shown.orientation_wxyz?)
     };
     // Joint and rotation from the T-pose, Unity's axes.

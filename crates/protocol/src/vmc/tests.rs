@@ -30,7 +30,7 @@ fn body(orientations: &[UnitQuaternion<f64>; SEGMENTS]) -> Body {
     let segments = (0..SEGMENTS)
         .map(|at| SegmentEstimate {
             state: SegmentState::Ok,
-            sensor: None,
+            sensor: Some(0),
             position_m: Some(origins[at].into()),
             orientation_wxyz: Some(orientation_to_wxyz(&orientations[at])),
             sigma_rad: 0.01,
@@ -129,10 +129,13 @@ fn bones_put_together_are_the_body() {
             // The bone points where the segment does: from its joint to its end, which in the T-pose lies along this axis of Unity's.
             let length = skeleton.end_in_segment_m(segment) - skeleton.joint_in_segment_m(segment);
             let along = match segment {
-                BodySegment::Torso => Vector3::y(),
+                BodySegment::Torso | BodySegment::Head => Vector3::y(),
                 BodySegment::Pelvis => continue,
-                BodySegment::UpperArmR | BodySegment::ForearmR => Vector3::x(),
-                BodySegment::UpperArmL | BodySegment::ForearmL => -Vector3::x(),
+                BodySegment::UpperArmR | BodySegment::ForearmR | BodySegment::HandR => Vector3::x(),
+                BodySegment::UpperArmL | BodySegment::ForearmL | BodySegment::HandL => -Vector3::x(),
+                BodySegment::FootR | BodySegment::FootL => {
+                    Vector3::new(0.0, -skeleton.foot_m, skeleton.toes_m).normalize()
+                }
                 _ => -Vector3::y(),
             };
             let end = orientations[segment.index()] * length.normalize();
@@ -186,7 +189,13 @@ fn what_sensors_do_not_show_is_not_sent_and_nothing_is_said_to_be_nothing() {
     body.segments[BodySegment::Torso.index()].state = SegmentState::Suspect;
     let messages = received(&mut Publisher::new(&stage, &settings), &body);
     let bones: Vec<_> = messages.keys().filter_map(|key| key.strip_prefix("/VMC/Ext/Bone/Pos ")).collect();
-    assert_eq!(bones, ["Hips", "LeftLowerLeg", "LeftUpperLeg", "RightLowerLeg", "RightUpperLeg"], "no arms");
+    let legs =
+        ["Hips", "LeftFoot", "LeftLowerLeg", "LeftUpperLeg", "RightFoot", "RightLowerLeg", "RightUpperLeg"];
+    assert_eq!(bones, legs, "no arms, no head");
+    // A foot without a sensor of its own is left to whoever knows better.
+    body.segments[BodySegment::FootL.index()].sensor = None;
+    let messages = received(&mut Publisher::new(&stage, &settings), &body);
+    assert!(!messages.contains_key("/VMC/Ext/Bone/Pos LeftFoot"));
     body.segments[BodySegment::Pelvis.index()].state = SegmentState::Missing;
     let messages = received(&mut Publisher::new(&stage, &settings), &body);
     assert_eq!(messages["/VMC/Ext/OK"], [OscType::Int(0)]);

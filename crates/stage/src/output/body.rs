@@ -3,6 +3,7 @@
 use posed_drivers::Timestamp;
 use posed_state::Plain;
 use serde::{Deserialize, Serialize};
+use serde_big_array::BigArray;
 
 use crate::input::SensorIndex;
 use posed_fusion::body::{ANGLES, AngleSpread, Heading};
@@ -24,6 +25,7 @@ pub struct Body {
     pub segments: Vec<SegmentEstimate>,
     /// Joint angles, rad, in the order of [`posed_fusion::body::ANGLE_NAMES`], of a chain the flexions by segment; `None` where a
     /// segment beside the joint is not known.
+    #[serde(with = "BigArray")]
     pub angles_rad: [Option<f64>; ANGLES],
     /// How uncertain the angles are; of a chain by segment too.
     pub spread: AngleSpread,

@@ -14,7 +14,7 @@ use thiserror::Error;
 
 use super::super::block::{Block, BlockKind};
 use super::super::skeleton::{BodySegment, upright};
-use super::facing::{ARMS, faced, posture, raised_to, turned_between};
+use super::facing::{ARMS, HANDS, faced, posture, raised_to, turned_between};
 use super::session::{Axis, Held, Seen, Session};
 use posed_geometry::GRAVITY_M_S2;
 
@@ -22,7 +22,7 @@ use posed_geometry::GRAVITY_M_S2;
 const RAISED_DEG: f64 = 25.0;
 /// About its own length an arm may turn by so much meanwhile, and upper arm and forearm by so much apart, degrees.
 const STRAIGHT_DEG: f64 = 30.0;
-/// Trunk and legs are as upright in one pose as in another within this, and arms hang alike within the other, degrees.
+/// Trunk and legs are as upright in one pose as in another within this, and arms hang and heads are held alike within the other, degrees.
 const UPRIGHT_DEG: f64 = 15.0;
 const HANGS_DEG: f64 = 25.0;
 /// Within this an axis is level that should be, degrees, and within this a movement begins as the person stood.
@@ -248,10 +248,11 @@ fn quarter_turn(segment: BodySegment, rotation: &UnitQuaternion<f64>) -> Result<
 fn upright_in_all(seen: &Seen) -> Result<(), Contradiction> {
     let leans = |block: &Block, held: &Held| {
         BodySegment::ALL.into_iter().try_for_each(|segment| {
-            let limit_deg = match (ARMS.iter().flatten().any(|arm| *arm == segment), block.kind) {
-                (true, BlockKind::TPose) => return Ok(()),
-                (true, _) => HANGS_DEG,
-                (false, _) => UPRIGHT_DEG,
+            let is_arm = ARMS.iter().flatten().chain(&HANDS).any(|arm| *arm == segment);
+            let limit_deg = match block.kind {
+                BlockKind::TPose if is_arm => return Ok(()),
+                _ if is_arm || segment == BodySegment::Head => HANGS_DEG,
+                _ => UPRIGHT_DEG,
             };
             leans(seen, segment, block, held, limit_deg, segment.name())
         })

@@ -18,6 +18,9 @@ const RAISED: f64 = 0.7;
 pub(super) const ARMS: [[BodySegment; 2]; 2] =
     [[BodySegment::UpperArmR, BodySegment::ForearmR], [BodySegment::UpperArmL, BodySegment::ForearmL]];
 
+/// What goes with the forearms.
+pub(super) const HANDS: [BodySegment; 2] = [BodySegment::HandR, BodySegment::HandL];
+
 /// The direction that one movement or pose shows in one sensor.
 pub(super) struct Faced {
     pub(super) segment: BodySegment,
@@ -37,7 +40,7 @@ pub(super) fn faced(seen: &Seen) -> impl Iterator<Item = Faced> {
         Some(Faced { segment: axis.segment, kind: axis.block.kind, forward, sigma_deg: axis.sigma_deg })
     });
     // From the N-pose to the T-pose an arm goes to the body's side, however it turns about its own length.
-    let by_arms = ARMS.into_iter().flatten().filter_map(|segment| {
+    let by_arms = ARMS.into_iter().flatten().chain(HANDS).filter_map(|segment| {
         let (low, high) = (seen.low()?, seen.high()?);
         let rotation = high[segment.index()]? * low[segment.index()]?.inverse();
         let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -turned_between(low, high));
@@ -88,6 +91,11 @@ impl Facing<'_> {
             BodySegment::ThighL => "`hip_flexion_l`",
             BodySegment::ShankR => "`knee_flexion_r`",
             BodySegment::ShankL => "`knee_flexion_l`",
+            BodySegment::Head => "`neck_flexion`",
+            BodySegment::HandR => "a `t_pose` or `wrist_flexion_r`",
+            BodySegment::HandL => "a `t_pose` or `wrist_flexion_l`",
+            BodySegment::FootR => "`ankle_flexion_r`",
+            BodySegment::FootL => "`ankle_flexion_l`",
         };
         CalibrationError::Facing { of: segment.name(), fix }
     }
@@ -104,10 +112,10 @@ fn forward(seen: &Vector3<f64>, nominal: &Vector3<f64>) -> Vector3<f64> {
 pub(in super::super) fn posture(segment: BodySegment, raised: bool) -> UnitQuaternion<f64> {
     let quarter = std::f64::consts::FRAC_PI_2;
     match segment {
-        BodySegment::UpperArmR | BodySegment::ForearmR if raised => {
+        BodySegment::UpperArmR | BodySegment::ForearmR | BodySegment::HandR if raised => {
             joint_rotation(BodySegment::UpperArmR, &[0.0, quarter, 0.0])
         }
-        BodySegment::UpperArmL | BodySegment::ForearmL if raised => {
+        BodySegment::UpperArmL | BodySegment::ForearmL | BodySegment::HandL if raised => {
             joint_rotation(BodySegment::UpperArmL, &[0.0, quarter, 0.0])
         }
         _ => UnitQuaternion::identity(),
@@ -123,6 +131,9 @@ pub(super) fn turned_between(first: &Held, second: &Held) -> f64 {
         BodySegment::ThighL,
         BodySegment::ShankR,
         BodySegment::ShankL,
+        BodySegment::FootR,
+        BodySegment::FootL,
+        BodySegment::Head,
     ];
     still
         .into_iter()

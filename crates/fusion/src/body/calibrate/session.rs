@@ -19,6 +19,9 @@ const HELD_RAD_S: f64 = 0.2;
 const BIAS_RAD_S: f64 = 0.035;
 /// How far the segment above a joint must turn meanwhile, root mean square, to show the axis without a magnetometer, rad.
 const PARENT_ROTATES_RAD: f64 = 0.35;
+/// How far a segment must turn in a movement to show its axis, root mean square, rad: 12 degrees, and half of it for head, hands and feet, which turn less far.
+const TURNS_RAD: f64 = 0.21;
+const EXTREMITY_TURNS_RAD: f64 = 0.1;
 /// How well people move about one axis, degrees: about a hinge, and any other.
 const HINGE_DEG: f64 = 2.0;
 const BALL_DEG: f64 = 6.0;
@@ -187,8 +190,8 @@ impl<'a> Session<'a> {
             BlockKind::Bow => {
                 for segment in [BodySegment::Torso, BodySegment::Pelvis] {
                     if self.present[segment.index()] {
-                        let sensor =
-                            main_axis(&self.tracks[segment.index()][range.clone()]).map_err(failed)?;
+                        let sensor = main_axis(&self.tracks[segment.index()][range.clone()], TURNS_RAD)
+                            .map_err(failed)?;
                         out.push(Axis {
                             block: *block,
                             segment,
@@ -202,8 +205,8 @@ impl<'a> Session<'a> {
             }
             BlockKind::TrunkRotation => {
                 if self.present[BodySegment::Torso.index()] {
-                    let sensor =
-                        main_axis(&self.tracks[BodySegment::Torso.index()][range]).map_err(failed)?;
+                    let sensor = main_axis(&self.tracks[BodySegment::Torso.index()][range], TURNS_RAD)
+                        .map_err(failed)?;
                     let (segment, in_segment) = (BodySegment::Torso, Vector3::y());
                     out.push(Axis { block: *block, segment, sensor, in_segment, sigma_deg: BALL_DEG });
                 }
@@ -216,6 +219,7 @@ impl<'a> Session<'a> {
             return Ok(());
         }
         let side = segment.side();
+        let extremity = BodySegment::EXTREMITIES.contains(&segment);
         let hinge = matches!(
             segment,
             BodySegment::ForearmR | BodySegment::ForearmL | BodySegment::ShankR | BodySegment::ShankL
@@ -224,16 +228,23 @@ impl<'a> Session<'a> {
             Movement::Flexion if matches!(segment, BodySegment::ShankR | BodySegment::ShankL) => {
                 (-Vector3::z(), true)
             }
+            Movement::Flexion if segment == BodySegment::Head => (-Vector3::z(), true),
+            Movement::Flexion if matches!(segment, BodySegment::HandR | BodySegment::HandL) => {
+                (Vector3::x() * side, true)
+            }
             Movement::Flexion => (Vector3::z(), true),
             Movement::Abduction => (-Vector3::x() * side, true),
             // The axis goes with the segment: the one above sees it wherever the segment points.
             Movement::Rotation | Movement::Pronation => (Vector3::y() * side, false),
         };
         let sigma_deg = if hinge && both { HINGE_DEG } else { BALL_DEG };
-        let axes = if self.present[parent.index()] {
+        // What an extremity shows of the segment above, that one's own movements show better.
+        let both = both && !extremity;
+        let axes = if self.present[parent.index()] && !extremity {
             self.pair(parent, segment, range).map_err(failed)?
         } else {
-            [None, Some(main_axis(&self.tracks[segment.index()][range]).map_err(failed)?)]
+            let needed_rad = if extremity { EXTREMITY_TURNS_RAD } else { TURNS_RAD };
+            [None, Some(main_axis(&self.tracks[segment.index()][range], needed_rad).map_err(failed)?)]
         };
         let [above, below] = axes;
         if let Some(sensor) = above.filter(|_| both) {
@@ -265,7 +276,7 @@ impl<'a> Session<'a> {
         // Headings of their own tie the two together only as far as both turn: above a parent that stands still, the joint shows
         // its axis in the sensor below alone.
         if !self.magnetic && turned_rad(before) < PARENT_ROTATES_RAD {
-            return main_axis(behind).map(|axis| [None, Some(axis)]);
+            return main_axis(behind, TURNS_RAD).map(|axis| [None, Some(axis)]);
         }
         let steps_s: Vec<f64> = range
             .clone()
@@ -278,7 +289,7 @@ impl<'a> Session<'a> {
         };
         let [first, second] = match rough {
             Some(axes) => chain::refined_axes(&axes, before, behind, &steps_s),
-            None => relative_axis(before, behind)?,
+            None => relative_axis(before, behind, TURNS_RAD)?,
         };
         // The way the movement begins: the mean rotation from the posture at its start.
         let start = before[0].inverse() * behind[0];
@@ -300,9 +311,9 @@ fn turned_rad(track: &[UnitQuaternion<f64>]) -> f64 {
 }
 
 /// The axis about which a sensor mainly turned, its axes, positive for the way that the movement begins.
-fn main_axis(track: &[UnitQuaternion<f64>]) -> Result<Vector3<f64>, Refused> {
+fn main_axis(track: &[UnitQuaternion<f64>], needed_rad: f64) -> Result<Vector3<f64>, Refused> {
     let still = vec![UnitQuaternion::identity(); track.len()];
-    relative_axis(&still, track).map(|[_, second]| second)
+    relative_axis(&still, track, needed_rad).map(|[_, second]| second)
 }
 
 /// The axis about which the second of two sensors mainly turned against the first, in the axes of both: the plane of the
@@ -310,6 +321,7 @@ fn main_axis(track: &[UnitQuaternion<f64>]) -> Result<Vector3<f64>, Refused> {
 fn relative_axis(
     before: &[UnitQuaternion<f64>],
     behind: &[UnitQuaternion<f64>],
+    needed_rad: f64,
 ) -> Result<[Vector3<f64>; 2], Refused> {
     let relative: Vec<_> = before.iter().zip(behind).map(|(a, b)| a.inverse() * b).collect();
     let Some(start) = relative.first() else { return Err(Refused::TooShort { found: 0, needed: 50 }) };
@@ -325,8 +337,8 @@ fn relative_axis(
     let eigen = spread.symmetric_eigen();
     let largest = eigen.eigenvalues.imax();
     let axis: Vector3<f64> = eigen.eigenvectors.column(largest).into();
-    // A rotation of at least 12 degrees, root mean square, and nearly all of it about one axis.
-    let needed = 12_f64.to_radians().powi(2);
+    // Turned far enough, and nearly all of it about one axis.
+    let needed = needed_rad.powi(2);
     if eigen.eigenvalues[largest].is_nan() || eigen.eigenvalues[largest] < needed {
         return Err(Refused::Excitation { found: eigen.eigenvalues[largest], needed });
     }
