@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use posed_recording::animation;
+use posed_recording::animation::{self, BoneNames};
 use posed_recording::export::{self, Frame};
 use posed_recording::movement;
 
@@ -14,18 +14,21 @@ use super::{Error, print, print_json};
 #[command(after_help = "Examples:\n  posed export take-1.mcap --to csv -o poses.csv\n  \
     posed export take-1.mcap --to csv --frame transmitter -o poses.csv.gz\n  \
     posed export take-1.mcap --to jsonl -o messages.jsonl\n  \
-    posed export take-1.mcap --to bvh -o take-1.bvh\n  \
+    posed export take-1.mcap --to bvh --bones mixamo -o take-1.bvh\n  \
     posed export take-1.mcap --to mcap -o take-1-full.mcap")]
 pub(crate) struct Args {
     /// The recording.
     recording: PathBuf,
-    /// csv: filtered poses with their state. jsonl: every published message, one on each line. bvh, trc, glb: the body.
+    /// csv: filtered poses with their state. jsonl: every published message, one on each line. bvh, trc, glb, vrm, vrma, usda: the body.
     /// mcap: a recording with every message and all channels for viewers.
     #[arg(long, value_enum)]
     to: Format,
     /// The file to write; csv is zipped where it ends in .gz.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// Names of the bones in a bvh file, and its unit: m, or cm for MotionBuilder and Mixamo.
+    #[arg(long, value_enum, default_value = "posed")]
+    bones: BoneNames,
     /// Axes of the poses in a csv file.
     #[arg(long, value_enum, default_value = "room")]
     frame: Frame,
@@ -41,22 +44,33 @@ enum Format {
     Bvh,
     Trc,
     Glb,
+    Vrm,
+    Vrma,
+    Usda,
     Mcap,
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
-    let Args { recording, to, output, frame, json } = args;
+    let Args { recording, to, output, bones, frame, json } = args;
     let mut progress = Progress::over(&recording, "exporting");
     if frame != Frame::Room && to != Format::Csv {
         return Err(Error::Usage("--frame is for --to csv; everything else is in the room's axes".into()));
+    }
+    if bones != BoneNames::Posed && to != Format::Bvh {
+        return Err(Error::Usage(
+            "--bones is for --to bvh; the other formats have names of their own".into(),
+        ));
     }
     let mut body = |format| {
         movement::animation(&recording, &output, format, |bytes| progress.at(bytes)).map_err(Error::failed)
     };
     let rows = match to {
-        Format::Bvh => body(animation::Format::Bvh)?,
+        Format::Bvh => body(animation::Format::Bvh(bones))?,
         Format::Trc => body(animation::Format::Trc)?,
         Format::Glb => body(animation::Format::Glb)?,
+        Format::Vrm => body(animation::Format::Vrm)?,
+        Format::Vrma => body(animation::Format::Vrma)?,
+        Format::Usda => body(animation::Format::Usda)?,
         Format::Jsonl => {
             export::jsonl(&recording, &output, |bytes| progress.at(bytes)).map_err(Error::failed)?
         }

@@ -14,6 +14,10 @@ const CORNERS: [[f32; 3]; 6] = [
 ];
 const FACES: [u16; 24] = [0, 2, 1, 0, 3, 2, 0, 4, 3, 0, 1, 4, 5, 1, 2, 5, 2, 3, 5, 3, 4, 5, 4, 1];
 
+/// Uses of a view, which say where a processor of graphics keeps it: attributes of vertices, and their indices.
+const VERTICES: u16 = 34962;
+const INDICES: u16 = 34963;
+
 /// The binary chunk as it grows, with its views and accessors.
 #[derive(Default)]
 pub(super) struct Buffer {
@@ -42,6 +46,51 @@ impl Buffer {
     pub(super) fn vectors(&mut self, vectors: impl Iterator<Item = Vector3<f64>>) -> usize {
         let numbers: Vec<f32> = vectors.flat_map(|v| [v.x, v.y, v.z].map(|part| part as f32)).collect();
         self.floats("VEC3", 3, &numbers)
+    }
+
+    /// Appends a vector of each vertex and returns their accessor.
+    pub(super) fn vertices(&mut self, vectors: &[Vector3<f64>]) -> usize {
+        let accessor = self.vectors(vectors.iter().copied());
+        self.used_as(accessor, VERTICES)
+    }
+
+    /// Appends the four joints that move each vertex and returns their accessor.
+    pub(super) fn joints(&mut self, joints: &[u8]) -> usize {
+        let accessor =
+            self.append(joints, json!({"componentType": 5121, "count": joints.len() / 4, "type": "VEC4"}));
+        self.used_as(accessor, VERTICES)
+    }
+
+    /// Appends by how much each of the four does and returns their accessor.
+    pub(super) fn weights(&mut self, weights: &[f32]) -> usize {
+        let accessor = self.floats("VEC4", 4, weights);
+        self.used_as(accessor, VERTICES)
+    }
+
+    /// Appends the corners of triangles and returns their accessor.
+    pub(super) fn indices(&mut self, indices: &[u16]) -> usize {
+        let bytes: Vec<u8> = indices.iter().flat_map(|index| index.to_le_bytes()).collect();
+        let accessor =
+            self.append(&bytes, json!({"componentType": 5123, "count": indices.len(), "type": "SCALAR"}));
+        self.used_as(accessor, INDICES)
+    }
+
+    /// Appends matrices that only move, m, and returns their accessor.
+    pub(super) fn matrices_of_translations(
+        &mut self,
+        translations: impl Iterator<Item = Vector3<f64>>,
+    ) -> usize {
+        let numbers: Vec<f32> = translations
+            .flat_map(|m| nalgebra::Matrix4::new_translation(&m).map(|number| number as f32).data.0)
+            .flatten()
+            .collect();
+        self.floats("MAT4", 16, &numbers)
+    }
+
+    fn used_as(&mut self, accessor: usize, target: u16) -> usize {
+        let view = self.accessors[accessor]["bufferView"].as_u64().unwrap_or(0) as usize;
+        self.views[view]["target"] = json!(target);
+        accessor
     }
 
     /// Appends rotations and returns their accessor.
@@ -75,8 +124,7 @@ impl Buffer {
 /// An octahedron's primitive: pointed, of length 1 along -y.
 pub(super) fn solid(buffer: &mut Buffer) -> Value {
     let corners = buffer.floats("VEC3", 3, CORNERS.as_flattened());
-    let faces: Vec<u8> = FACES.iter().flat_map(|index| index.to_le_bytes()).collect();
-    let faces = buffer.append(&faces, json!({"componentType": 5123, "count": FACES.len(), "type": "SCALAR"}));
+    let faces = buffer.indices(&FACES);
     json!({"attributes": {"POSITION": corners}, "indices": faces})
 }
 
@@ -107,26 +155,34 @@ pub(super) struct Contents<'a> {
     pub(super) roots: Vec<usize>,
     pub(super) nodes: Vec<Value>,
     pub(super) meshes: Vec<Value>,
+    pub(super) skins: Vec<Value>,
     pub(super) materials: Vec<Value>,
+    /// What says more than the format itself: its name, and what it says.
+    pub(super) extension: Option<(&'a str, Value)>,
 }
 
 /// The bytes of a file.
 pub(super) fn file(contents: Contents<'_>, channels: Channels, buffer: Buffer) -> Vec<u8> {
-    let Contents { name, roots, nodes, meshes, materials } = contents;
+    let Contents { name, roots, nodes, meshes, skins, materials, extension } = contents;
     let mut document = json!({
         "asset": {"version": "2.0", "generator": concat!("posed ", env!("CARGO_PKG_VERSION"))},
         "scene": 0,
         "scenes": [{"nodes": roots}],
         "nodes": nodes,
-        "meshes": meshes,
         "animations": [{"name": name, "samplers": channels.samplers, "channels": channels.channels}],
         "buffers": [{"byteLength": buffer.bytes.len()}],
         "bufferViews": buffer.views,
         "accessors": buffer.accessors,
     });
     // An empty list is against the format.
-    if !materials.is_empty() {
-        document["materials"] = json!(materials);
+    for (list, items) in [("meshes", meshes), ("skins", skins), ("materials", materials)] {
+        if !items.is_empty() {
+            document[list] = json!(items);
+        }
+    }
+    if let Some((name, says)) = extension {
+        document["extensionsUsed"] = json!([name]);
+        document["extensions"] = json!({ name: says });
     }
     container(document.to_string().into_bytes(), buffer.bytes)
 }

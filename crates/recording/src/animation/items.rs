@@ -96,7 +96,11 @@ fn bytes(times_s: &[f64], items: &[Item], lines: &[Line]) -> Vec<u8> {
         line(&mut buffer, &mut nodes, &mut meshes, &each.name, colour, points);
     }
     let roots = (0..nodes.len()).collect();
-    file(Contents { name: "motion", roots, nodes, meshes, materials }, channels, buffer)
+    file(
+        Contents { name: "motion", roots, nodes, meshes, skins: Vec::new(), materials, extension: None },
+        channels,
+        buffer,
+    )
 }
 
 /// Adds a node with a line through points.

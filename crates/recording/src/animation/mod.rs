@@ -1,16 +1,19 @@
-//! A body's movement as files that other programs open: BVH, TRC and binary glTF.
+//! A body's movement as files that other programs open: BVH, TRC, glTF with VRM, and USD.
 //!
-//! In: a skeleton, and segment orientations over time (room, z up). Out: files with y up and metres, in the axes of a
-//! body that looks along the room's x: x forward, y up, z right, as ISB and OpenSim have it. It never leaves a
-//! half-written file behind, and never invents frames but to make them equally spaced.
+//! In: a skeleton, and segment orientations over time (room, z up). Out: files with y up. Those for animation hold the 23 segments of
+//! [`posed_fusion::body::WholeSegment`] at rest in a T-pose and look along +z; TRC holds points in the axes of a body that looks along the room's x: x forward,
+//! y up, z right, as ISB and OpenSim have it. It never leaves a half-written file behind, and never invents frames but to make them equally spaced.
 
 mod bvh;
 mod glb;
 mod gltf;
+mod humanoid;
 mod items;
+mod skin;
 #[cfg(test)]
 mod tests;
 mod trc;
+mod usd;
 
 use std::io::Write;
 use std::path::Path;
@@ -18,29 +21,40 @@ use std::path::Path;
 use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
 
+pub use bvh::BoneNames;
 pub use items::{Item, Line, write_items};
 
 use crate::atomic_file::AtomicFile;
-use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton, upright};
+use posed_fusion::body::{SEGMENTS, Skeleton};
 
 /// Kinds of files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
-    /// Biovision hierarchy: Blender and most animation programs. Offsets in m, angles in degrees, Z then X then Y.
-    Bvh,
+    /// Biovision hierarchy: Blender and most animation programs, by the names and in the unit of one of them; degrees, Z then X then Y. But for
+    /// [`BoneNames::Posed`] the first frame is the T-pose.
+    Bvh(BoneNames),
     /// Track row column: joint centres as markers, m, for OpenSim.
     Trc,
-    /// Binary glTF: an animated skeleton for browsers, m; its time begins with 0.
+    /// Binary glTF: an animated, skinned figure for browsers, m; its time begins with 0.
     Glb,
+    /// The same with the bones of VRM 1.0.
+    Vrm,
+    /// The movement of VRM 1.0, for any such model.
+    Vrma,
+    /// USD as text, with a skeleton of UsdSkel and its animation, m.
+    Usda,
 }
 
 impl Format {
     /// By the end of a file's name, in letters of either case; `None` for any other end.
     pub fn of(path: &Path) -> Option<Self> {
         match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
-            "bvh" => Some(Self::Bvh),
+            "bvh" => Some(Self::Bvh(BoneNames::Posed)),
             "trc" => Some(Self::Trc),
             "glb" => Some(Self::Glb),
+            "vrm" => Some(Self::Vrm),
+            "vrma" => Some(Self::Vrma),
+            "usda" => Some(Self::Usda),
             _ => None,
         }
     }
@@ -62,7 +76,7 @@ pub enum AnimationError {
     },
 }
 
-/// One time of a body: y up.
+/// One time of a body, room axes (z up).
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Frame {
     t_s: f64,
@@ -83,16 +97,11 @@ impl Animation {
         Self { skeleton, frames: Vec::new() }
     }
 
-    /// Appends a frame: its time, s; the orientations, segment to room, by [`BodySegment::index`]; the hips' mid-point in the
+    /// Appends a frame: its time, s; the orientations, segment to room, by [`posed_fusion::body::BodySegment::index`]; the hips' mid-point in the
     /// room, m. A frame whose time does not rise is left out.
     pub fn push(&mut self, t_s: f64, orientations: [UnitQuaternion<f64>; SEGMENTS], pelvis_m: Vector3<f64>) {
         if self.frames.last().is_none_or(|last| t_s > last.t_s) {
-            let up = upright().inverse();
-            self.frames.push(Frame {
-                t_s,
-                orientations: orientations.map(|q| up * q),
-                pelvis_m: up * pelvis_m,
-            });
+            self.frames.push(Frame { t_s, orientations, pelvis_m });
         }
     }
 
@@ -104,9 +113,12 @@ impl Animation {
     pub fn write(&self, path: &Path, format: Format) -> Result<(), AnimationError> {
         let (rate_hz, frames) = self.even()?;
         let bytes = match format {
-            Format::Bvh => bvh::text(&self.skeleton, rate_hz, &frames).into_bytes(),
+            Format::Bvh(names) => bvh::text(&self.skeleton, rate_hz, &frames, names).into_bytes(),
             Format::Trc => trc::text(&self.skeleton, rate_hz, &frames, path).into_bytes(),
-            Format::Glb => glb::bytes(&self.skeleton, &frames),
+            Format::Glb => glb::bytes(&self.skeleton, &frames, glb::Kind::Glb),
+            Format::Vrm => glb::bytes(&self.skeleton, &frames, glb::Kind::Vrm),
+            Format::Vrma => glb::bytes(&self.skeleton, &frames, glb::Kind::Vrma),
+            Format::Usda => usd::text(&self.skeleton, rate_hz, &frames).into_bytes(),
         };
         let failed = |source| AnimationError::Io { file: path.display().to_string(), source };
         let mut file = AtomicFile::create(path).map_err(failed)?;
@@ -147,20 +159,4 @@ fn between(a: &Frame, b: &Frame, t_s: f64) -> Frame {
         orientations: std::array::from_fn(orientation),
         pelvis_m: a.pelvis_m.lerp(&b.pelvis_m, part),
     }
-}
-
-/// From a segment's joint to the joint of a child, the segment's frame, m.
-fn offset_m(skeleton: &Skeleton, child: BodySegment) -> Vector3<f64> {
-    let Some(parent) = child.parent() else { return Vector3::zeros() };
-    skeleton.joint_in_parent_m(child) - skeleton.joint_in_segment_m(parent)
-}
-
-/// From a segment's joint to its far end, the segment's frame, m.
-fn end_m(skeleton: &Skeleton, segment: BodySegment) -> Vector3<f64> {
-    skeleton.end_in_segment_m(segment) - skeleton.joint_in_segment_m(segment)
-}
-
-/// Segments that hang on another.
-fn children(parent: BodySegment) -> impl Iterator<Item = BodySegment> {
-    BodySegment::ALL.into_iter().filter(move |segment| segment.parent() == Some(parent))
 }

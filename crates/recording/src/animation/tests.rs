@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Rotation3};
 
 use super::*;
-use posed_fusion::body::joint_rotation;
+use posed_fusion::body::{BodySegment, WHOLE, WholeSegment, joint_rotation, upright, whole};
 
 /// A second of a moving body, unequally spaced.
 fn moving() -> Animation {
@@ -73,30 +73,52 @@ fn read_bvh(text: &str) -> Vec<(String, Vector3<f64>)> {
     found
 }
 
+/// Where the joints of the 23 are, m, axes of the figure: left, up, forward of a body that looks along the room's x.
+fn expected(animation: &Animation, frame: &Frame) -> Vec<(WholeSegment, Vector3<f64>)> {
+    let all = whole(&frame.orientations);
+    let origins = animation.skeleton.whole_origins_m(&all, frame.pelvis_m);
+    WholeSegment::ALL
+        .into_iter()
+        .map(|segment| (segment, origins[segment.index()]))
+        .map(|(segment, at)| (segment, Vector3::new(at.y, at.z, at.x)))
+        .collect()
+}
+
 #[test]
 fn a_bvh_reader_finds_the_joints_where_they_are() {
     let animation = moving();
     let (rate_hz, frames) = animation.even().unwrap();
-    let text = bvh::text(&animation.skeleton, rate_hz, &frames);
-    let read = read_bvh(&text);
-    let last = frames.last().unwrap();
-    let origins = animation.skeleton.origins_m(&last.orientations, last.pelvis_m);
-    let mut compared = 0;
-    for segment in BodySegment::ALL {
-        let q = last.orientations[segment.index()];
-        let joint = origins[segment.index()] + q * animation.skeleton.joint_in_segment_m(segment);
-        let end = origins[segment.index()] + q * animation.skeleton.end_in_segment_m(segment);
-        for (name, point) in &read {
-            if name == segment.name() {
-                assert!((point - joint).norm() < 1e-5, "{name}: {point} is not {joint}");
-                compared += 1;
-            } else if *name == format!("{} end", segment.name()) {
-                assert!((point - end).norm() < 1e-5, "{name}: {point} is not {end}");
-                compared += 1;
+    let expected = expected(&animation, frames.last().unwrap());
+    for (names, per_m, spine, toe, bones) in [
+        (BoneNames::Posed, 1.0, "t8", "toe_l", 23),
+        (BoneNames::Blender, 1.0, "spine.003", "toe.L", 22),
+        (BoneNames::Motionbuilder, 100.0, "Spine3", "LeftToeBase", 23),
+        (BoneNames::Mixamo, 100.0, "mixamorig:Spine2", "mixamorig:LeftToeBase", 22),
+    ] {
+        let text = bvh::text(&animation.skeleton, rate_hz, &frames, names);
+        let read = read_bvh(&text);
+        // Five ends: head, hands, toes.
+        assert_eq!(read.len(), bones + 5, "{names:?}");
+        let at = |name: &str| read.iter().find(|(known, _)| known == name).unwrap().1 / per_m;
+        for (segment, name) in [(WholeSegment::T8, spine), (WholeSegment::ToeL, toe)] {
+            let expected = expected.iter().find(|(known, _)| *known == segment).unwrap().1;
+            // Where a piece of the spine has no bone the one below it is straight for both: a millimetre too long, where somebody bends by 60 degrees.
+            let is_exact = bones == WHOLE || segment == WholeSegment::ToeL;
+            let limit_m = if is_exact { 1e-5 } else { 0.0015 };
+            assert!((at(name) - expected).norm() < limit_m, "{names:?} {name}: {} {expected}", at(name));
+        }
+        if names == BoneNames::Posed {
+            for (segment, expected) in &expected {
+                assert!((at(segment.name()) - expected).norm() < 1e-5, "{segment:?}");
             }
         }
+        // For programs with names of their own the first frame is the rest: no rotation.
+        let rows: Vec<&str> =
+            text.lines().skip_while(|line| !line.starts_with("Frame Time")).skip(1).collect();
+        let is_rest = rows[0].split_whitespace().skip(3).all(|angle| angle.parse::<f64>() == Ok(0.0));
+        let has_rest = names != BoneNames::Posed;
+        assert_eq!((is_rest, rows.len()), (has_rest, frames.len() + usize::from(has_rest)), "{names:?}");
     }
-    assert_eq!(compared, 14);
 }
 
 #[test]
@@ -108,7 +130,7 @@ fn a_trc_file_has_a_row_per_frame_and_three_columns_per_marker() {
     assert!(lines[0].ends_with("walk.trc"));
     assert_eq!(lines.len(), 6 + frames.len());
     let cells: Vec<f64> = lines[6].split('\t').map(|cell| cell.parse().unwrap()).collect();
-    assert_eq!(cells.len(), 2 + 3 * 14);
+    assert_eq!(cells.len(), 2 + 3 * 19);
     let hips = &cells[2..5];
     assert!(
         (hips[0] - frames[0].pelvis_m.x).abs() < 1e-6 && (hips[1] - 0.9).abs() < 1e-6,
@@ -131,9 +153,14 @@ fn read_glb(bytes: &[u8]) -> (serde_json::Value, Vec<u8>) {
         let width = match accessor["type"].as_str().unwrap() {
             "SCALAR" => 1,
             "VEC3" => 3,
+            "MAT4" => 16,
             _ => 4,
         };
-        let size = if accessor["componentType"] == 5126 { 4 } else { 2 };
+        let size = match accessor["componentType"].as_u64().unwrap() {
+            5126 => 4,
+            5123 => 2,
+            _ => 1,
+        };
         let count = accessor["count"].as_u64().unwrap();
         assert_eq!(view["byteLength"].as_u64().unwrap(), count * width * size);
         let end = view["byteOffset"].as_u64().unwrap() + view["byteLength"].as_u64().unwrap();
@@ -143,13 +170,82 @@ fn read_glb(bytes: &[u8]) -> (serde_json::Value, Vec<u8>) {
 }
 
 #[test]
-fn a_glb_file_is_whole_and_its_accessors_fit() {
+fn a_glb_file_is_a_skinned_figure_that_moves() {
     let animation = moving();
     let (_, frames) = animation.even().unwrap();
-    let (document, _) = read_glb(&glb::bytes(&animation.skeleton, &frames));
-    assert_eq!(document["nodes"].as_array().unwrap().len(), 2 * SEGMENTS);
+    let (document, numbers) = read_glb(&glb::bytes(&animation.skeleton, &frames, glb::Kind::Vrm));
+    let nodes = document["nodes"].as_array().unwrap();
+    // All of the 23 but L3, and the figure.
+    assert_eq!(nodes.len(), WHOLE);
+    assert_eq!(document["animations"][0]["channels"].as_array().unwrap().len(), WHOLE);
+    let bones = &document["extensions"]["VRMC_vrm"]["humanoid"]["humanBones"];
+    for bone in ["hips", "spine", "upperChest", "head", "leftHand", "rightFoot", "rightToes"] {
+        assert_eq!(nodes[bones[bone]["node"].as_u64().unwrap() as usize]["name"], bone);
+    }
+    let floats = |accessor: &serde_json::Value| -> Vec<f32> {
+        let accessor = &document["accessors"][accessor.as_u64().unwrap() as usize];
+        let view = &document["bufferViews"][accessor["bufferView"].as_u64().unwrap() as usize];
+        let begin = view["byteOffset"].as_u64().unwrap() as usize;
+        let bytes = &numbers[begin..begin + view["byteLength"].as_u64().unwrap() as usize];
+        bytes.chunks_exact(4).map(|four| f32::from_le_bytes(four.try_into().unwrap())).collect()
+    };
+    let primitive = &document["meshes"][0]["primitives"][0];
+    let weights = floats(&primitive["attributes"]["WEIGHTS_0"]);
+    assert!(weights.chunks_exact(4).all(|four| (four.iter().sum::<f32>() - 1.0).abs() < 1e-6));
+    // It stands on the floor, is as tall as the person, and looks ahead: toes and nose, not heels.
+    let points = floats(&primitive["attributes"]["POSITION"]);
+    let heights = || points.iter().skip(1).step_by(3).copied();
+    let (low, high) = heights().fold((f32::MAX, f32::MIN), |(low, high), y| (low.min(y), high.max(y)));
+    assert!((-0.02..0.03).contains(&low) && (1.75..1.9).contains(&high), "{low} {high}");
+    let soles = points.chunks_exact(3).filter(|point| point[1] < 0.05).map(|point| point[2]);
+    assert!(soles.fold(0.0, f32::max) > 0.2);
+    // Normals point outwards, and so do the triangles.
+    let normals = floats(&primitive["attributes"]["NORMAL"]);
+    let indices = &document["accessors"][primitive["indices"].as_u64().unwrap() as usize];
+    let view = &document["bufferViews"][indices["bufferView"].as_u64().unwrap() as usize];
+    let begin = view["byteOffset"].as_u64().unwrap() as usize;
+    let corners: Vec<usize> = numbers[begin..begin + view["byteLength"].as_u64().unwrap() as usize]
+        .chunks_exact(2)
+        .map(|two| usize::from(u16::from_le_bytes(two.try_into().unwrap())))
+        .collect();
+    let vector = |of: &[f32], at: usize| Vector3::new(of[3 * at], of[3 * at + 1], of[3 * at + 2]);
+    let (mut outwards, mut inwards) = (0, 0);
+    for triangle in corners.chunks_exact(3) {
+        let [a, b, c] = [0, 1, 2].map(|k| vector(&points, triangle[k]));
+        let face = (b - a).cross(&(c - a));
+        if face.norm() < 1e-9 {
+            continue;
+        }
+        let normal = [0, 1, 2].iter().map(|k| vector(&normals, triangle[*k])).sum::<Vector3<f32>>();
+        if face.dot(&normal) > 0.0 { outwards += 1 } else { inwards += 1 }
+    }
+    assert!(outwards > 5000 && inwards == 0, "{outwards} {inwards}");
+}
+
+#[test]
+fn a_movement_for_any_model_has_no_figure() {
+    let animation = moving();
+    let (_, frames) = animation.even().unwrap();
+    let (document, _) = read_glb(&glb::bytes(&animation.skeleton, &frames, glb::Kind::Vrma));
+    assert!(document.get("meshes").is_none() && document.get("skins").is_none());
+    assert_eq!(document["extensionsUsed"][0], "VRMC_vrm_animation");
+    // Rotations of all bones, and a place of the hips alone.
     let channels = document["animations"][0]["channels"].as_array().unwrap();
-    assert_eq!(channels.len(), SEGMENTS + 1);
+    let moved = channels.iter().filter(|channel| channel["target"]["path"] == "translation").count();
+    assert_eq!((channels.len(), moved), (WHOLE, 1));
+}
+
+#[test]
+fn a_usd_file_has_a_rotation_of_every_joint_at_every_time() {
+    let animation = moving();
+    let (rate_hz, frames) = animation.even().unwrap();
+    let text = usd::text(&animation.skeleton, rate_hz, &frames);
+    assert!(text.contains("\"pelvis/l5/l3/t12/t8/neck/head\""));
+    let (_, rotations) = text.split_once("quatf[] rotations.timeSamples = {\n").unwrap();
+    let rows: Vec<&str> = rotations.lines().take_while(|line| line.trim() != "}").collect();
+    assert_eq!(rows.len(), frames.len());
+    assert!(rows.iter().all(|row| row.matches('(').count() == WHOLE));
+    assert_eq!(text.matches('{').count(), text.matches('}').count());
 }
 
 #[test]

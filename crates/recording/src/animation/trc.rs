@@ -6,10 +6,10 @@ use std::path::Path;
 use nalgebra::Vector3;
 
 use super::Frame;
-use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton};
+use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton, upright};
 
 /// Joint centres and far ends, by the names that OpenSim users expect of such points.
-const MARKERS: [&str; 14] = [
+const MARKERS: [&str; 19] = [
     "hips",
     "neck",
     "shoulder_r",
@@ -24,6 +24,11 @@ const MARKERS: [&str; 14] = [
     "hip_l",
     "knee_l",
     "ankle_l",
+    "head_top",
+    "finger_r",
+    "toe_r",
+    "finger_l",
+    "toe_l",
 ];
 
 pub(super) fn text(skeleton: &Skeleton, rate_hz: f64, frames: &[Frame], path: &Path) -> String {
@@ -51,13 +56,16 @@ pub(super) fn text(skeleton: &Skeleton, rate_hz: f64, frames: &[Frame], path: &P
 
 /// In the order of [`MARKERS`].
 pub(super) fn points(skeleton: &Skeleton, frame: &Frame) -> [Vector3<f64>; MARKERS.len()] {
+    // To x forward, y up, z right.
+    let up = upright().inverse();
     let origins: [Vector3<f64>; SEGMENTS] = skeleton.origins_m(&frame.orientations, frame.pelvis_m);
-    let origin = |segment: BodySegment| origins[segment.index()];
+    let origin = |segment: BodySegment| up * origins[segment.index()];
     let end = |segment: BodySegment| {
-        origins[segment.index()] + frame.orientations[segment.index()] * skeleton.end_in_segment_m(segment)
+        let end_m = frame.orientations[segment.index()] * skeleton.end_in_segment_m(segment);
+        up * (origins[segment.index()] + end_m)
     };
     [
-        frame.pelvis_m,
+        up * frame.pelvis_m,
         end(BodySegment::Torso),
         origin(BodySegment::UpperArmR),
         origin(BodySegment::ForearmR),
@@ -71,5 +79,10 @@ pub(super) fn points(skeleton: &Skeleton, frame: &Frame) -> [Vector3<f64>; MARKE
         origin(BodySegment::ThighL),
         origin(BodySegment::ShankL),
         end(BodySegment::ShankL),
+        end(BodySegment::Head),
+        end(BodySegment::HandR),
+        end(BodySegment::FootR),
+        end(BodySegment::HandL),
+        end(BodySegment::FootL),
     ]
 }

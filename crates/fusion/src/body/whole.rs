@@ -1,0 +1,378 @@
+//! The 23 rigid bodies that programs for animation and gait know, from those that can wear a sensor here.
+//!
+//! In: a [`Skeleton`] and the orientations of its segments. Out: orientations and joint centres of pelvis, four pieces of the spine, neck and head,
+//! shoulders, arms, hands, legs, feet and toes, as in MVN (names, order and parents). It measures nothing: what lies between two segments follows from
+//! them. The bend between pelvis and chest is shared out over the spine in proportion to its pieces' lengths; the neck takes half of what the head is
+//! turned against the chest; shoulders go with the chest; the toes stay on the floor while the heel rises.
+//!
+//! Joint centres are those of [`Skeleton::origins_m`] but for what hangs on a bent spine: the ten-segment trunk is one straight line, this one is an arc of
+//! the same length.
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::skeleton::{BodySegment, SEGMENTS, Skeleton, upright};
+use posed_geometry::so3::{exp, log};
+
+/// Length of arrays over [`WholeSegment`].
+pub const WHOLE: usize = 23;
+
+/// One of the 23, in MVN's order. Axes as those of [`BodySegment`]; the origin is the joint above it, the hips' mid-point for the pelvis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WholeSegment {
+    /// Hip bones.
+    Pelvis,
+    /// Lower lumbar spine, above L5-S1.
+    L5,
+    /// Upper lumbar spine, above L4-L3.
+    L3,
+    /// Lower chest, above L1-T12.
+    T12,
+    /// Upper chest, above T9-T8; it goes with [`BodySegment::Torso`].
+    T8,
+    /// Neck, above T1-C7.
+    Neck,
+    /// Head, above C1.
+    Head,
+    /// Right collar bone and shoulder blade.
+    ShoulderR,
+    /// Right upper arm.
+    UpperArmR,
+    /// Right forearm.
+    ForearmR,
+    /// Right hand.
+    HandR,
+    /// Left collar bone and shoulder blade.
+    ShoulderL,
+    /// Left upper arm.
+    UpperArmL,
+    /// Left forearm.
+    ForearmL,
+    /// Left hand.
+    HandL,
+    /// Right thigh.
+    UpperLegR,
+    /// Right shank.
+    LowerLegR,
+    /// Right foot up to its ball.
+    FootR,
+    /// Right toes.
+    ToeR,
+    /// Left thigh.
+    UpperLegL,
+    /// Left shank.
+    LowerLegL,
+    /// Left foot up to its ball.
+    FootL,
+    /// Left toes.
+    ToeL,
+}
+
+use WholeSegment as W;
+
+impl WholeSegment {
+    /// All, parents first, in the order in which arrays over them hold them.
+    pub const ALL: [Self; WHOLE] = [
+        W::Pelvis,
+        W::L5,
+        W::L3,
+        W::T12,
+        W::T8,
+        W::Neck,
+        W::Head,
+        W::ShoulderR,
+        W::UpperArmR,
+        W::ForearmR,
+        W::HandR,
+        W::ShoulderL,
+        W::UpperArmL,
+        W::ForearmL,
+        W::HandL,
+        W::UpperLegR,
+        W::LowerLegR,
+        W::FootR,
+        W::ToeR,
+        W::UpperLegL,
+        W::LowerLegL,
+        W::FootL,
+        W::ToeL,
+    ];
+
+    /// Its name in files of ours: `l5`, `upper_leg_r`.
+    pub fn name(self) -> &'static str {
+        match self {
+            W::Pelvis => "pelvis",
+            W::L5 => "l5",
+            W::L3 => "l3",
+            W::T12 => "t12",
+            W::T8 => "t8",
+            W::Neck => "neck",
+            W::Head => "head",
+            W::ShoulderR => "shoulder_r",
+            W::UpperArmR => "upper_arm_r",
+            W::ForearmR => "forearm_r",
+            W::HandR => "hand_r",
+            W::ShoulderL => "shoulder_l",
+            W::UpperArmL => "upper_arm_l",
+            W::ForearmL => "forearm_l",
+            W::HandL => "hand_l",
+            W::UpperLegR => "upper_leg_r",
+            W::LowerLegR => "lower_leg_r",
+            W::FootR => "foot_r",
+            W::ToeR => "toe_r",
+            W::UpperLegL => "upper_leg_l",
+            W::LowerLegL => "lower_leg_l",
+            W::FootL => "foot_l",
+            W::ToeL => "toe_l",
+        }
+    }
+
+    /// Its place in arrays, 0 to 22.
+    pub fn index(self) -> usize {
+        self as usize
+    }
+
+    /// The segment it hangs on; `None` for the pelvis.
+    pub fn parent(self) -> Option<Self> {
+        Some(match self {
+            W::Pelvis => return None,
+            W::L5 | W::UpperLegR | W::UpperLegL => W::Pelvis,
+            W::L3 => W::L5,
+            W::T12 => W::L3,
+            W::T8 => W::T12,
+            W::Neck | W::ShoulderR | W::ShoulderL => W::T8,
+            W::Head => W::Neck,
+            W::UpperArmR => W::ShoulderR,
+            W::ForearmR => W::UpperArmR,
+            W::HandR => W::ForearmR,
+            W::UpperArmL => W::ShoulderL,
+            W::ForearmL => W::UpperArmL,
+            W::HandL => W::ForearmL,
+            W::LowerLegR => W::UpperLegR,
+            W::FootR => W::LowerLegR,
+            W::ToeR => W::FootR,
+            W::LowerLegL => W::UpperLegL,
+            W::FootL => W::LowerLegL,
+            W::ToeL => W::FootL,
+        })
+    }
+
+    /// 1 on the right, -1 on the left, 0 in the middle.
+    pub fn side(self) -> f64 {
+        match self {
+            W::ShoulderR | W::UpperArmR | W::ForearmR | W::HandR => 1.0,
+            W::UpperLegR | W::LowerLegR | W::FootR | W::ToeR => 1.0,
+            W::ShoulderL | W::UpperArmL | W::ForearmL | W::HandL => -1.0,
+            W::UpperLegL | W::LowerLegL | W::FootL | W::ToeL => -1.0,
+            _ => 0.0,
+        }
+    }
+
+    /// The segment whose sensor shows it; `None` where it follows from its neighbours.
+    pub fn measured_as(self) -> Option<BodySegment> {
+        Some(match self {
+            W::Pelvis => BodySegment::Pelvis,
+            W::T8 => BodySegment::Torso,
+            W::Head => BodySegment::Head,
+            W::UpperArmR => BodySegment::UpperArmR,
+            W::ForearmR => BodySegment::ForearmR,
+            W::HandR => BodySegment::HandR,
+            W::UpperArmL => BodySegment::UpperArmL,
+            W::ForearmL => BodySegment::ForearmL,
+            W::HandL => BodySegment::HandL,
+            W::UpperLegR => BodySegment::ThighR,
+            W::LowerLegR => BodySegment::ShankR,
+            W::FootR => BodySegment::FootR,
+            W::UpperLegL => BodySegment::ThighL,
+            W::LowerLegL => BodySegment::ShankL,
+            W::FootL => BodySegment::FootL,
+            W::L5 | W::L3 | W::T12 | W::Neck | W::ShoulderR | W::ShoulderL | W::ToeR | W::ToeL => {
+                return None;
+            }
+        })
+    }
+}
+
+/// Of the way from the hips to the height of the shoulders: to L5-S1, L4-L3, L1-T12, T9-T8 and the roots of the shoulders. In proportion to the fractions of
+/// a 23-segment model of the literature (pelvis 0.058, L5 0.065, L3 and T12 0.059, then 0.047 of the body's height).
+const SPINE: [f64; 4] = [0.058 / 0.288, 0.123 / 0.288, 0.182 / 0.288, 0.241 / 0.288];
+/// Shares of a bend from pelvis to chest that the joints below L5, L3, T12 and T8 take: by the lengths above them.
+const BEND: [f64; 4] = [0.244, 0.223, 0.223, 0.31];
+/// Of the head's turn against the chest, what the neck takes.
+const NECK_BEND: f64 = 0.5;
+/// Above the height of the shoulders: C7, and C1, of the length from there to the top of the head.
+const C7: f64 = 0.036 / 0.182;
+const C1: f64 = 0.091 / 0.182;
+/// From the middle to the root of a shoulder, of half the distance between the shoulders.
+const ROOT: f64 = 0.14;
+/// From the ankle to the ball of the foot along the floor, of the way to the toes' tip, and its height, of the ankle's.
+const BALL: f64 = 0.776;
+const BALL_HEIGHT: f64 = 0.23;
+
+impl Skeleton {
+    /// The joint between a segment of the 23 and its parent, in the parent's frame, m; zero for the pelvis.
+    pub fn whole_joint_m(&self, segment: WholeSegment) -> Vector3<f64> {
+        let up = |m: f64| Vector3::new(0.0, m, 0.0);
+        let side = segment.side();
+        match segment {
+            W::Pelvis => Vector3::zeros(),
+            W::L5 => up(SPINE[0] * self.trunk_m),
+            W::L3 => up((SPINE[1] - SPINE[0]) * self.trunk_m),
+            W::T12 => up((SPINE[2] - SPINE[1]) * self.trunk_m),
+            W::T8 => up((SPINE[3] - SPINE[2]) * self.trunk_m),
+            W::Neck => up((1.0 - SPINE[3]) * self.trunk_m + C7 * self.head_m),
+            W::Head => up((C1 - C7) * self.head_m),
+            W::ShoulderR | W::ShoulderL => {
+                up((1.0 - SPINE[3]) * self.trunk_m) + Vector3::z() * (side * ROOT * self.shoulder_half_m)
+            }
+            W::UpperArmR | W::UpperArmL => Vector3::z() * (side * (1.0 - ROOT) * self.shoulder_half_m),
+            W::ForearmR | W::ForearmL => up(-self.upper_arm_m),
+            W::HandR | W::HandL => up(-self.forearm_m),
+            W::UpperLegR | W::UpperLegL => Vector3::z() * (side * self.hip_half_m),
+            W::LowerLegR | W::LowerLegL => up(-self.thigh_m),
+            W::FootR | W::FootL => up(-self.shank_m),
+            W::ToeR | W::ToeL => Vector3::new(BALL * self.toes_m, -(1.0 - BALL_HEIGHT) * self.foot_m, 0.0),
+        }
+    }
+
+    /// Where a segment ends on which nothing hangs, its own frame, m: top of the head, finger tips, tip of the toes. `None` for all others.
+    pub fn whole_end_m(&self, segment: WholeSegment) -> Option<Vector3<f64>> {
+        match segment {
+            W::Head => Some(Vector3::new(0.0, (1.0 - C1) * self.head_m, 0.0)),
+            W::HandR | W::HandL => Some(Vector3::new(0.0, -self.hand_m, 0.0)),
+            W::ToeR | W::ToeL => {
+                Some(Vector3::new((1.0 - BALL) * self.toes_m, -BALL_HEIGHT * self.foot_m, 0.0))
+            }
+            _ => None,
+        }
+    }
+
+    /// Joint centres of the 23 in the room, m, by [`WholeSegment::index`], from their orientations (segment to room) and the hips' mid-point.
+    pub fn whole_origins_m(
+        &self,
+        orientations: &[UnitQuaternion<f64>; WHOLE],
+        pelvis_m: Vector3<f64>,
+    ) -> [Vector3<f64>; WHOLE] {
+        let mut origins = [pelvis_m; WHOLE];
+        for segment in WholeSegment::ALL {
+            if let Some(parent) = segment.parent() {
+                origins[segment.index()] =
+                    origins[parent.index()] + orientations[parent.index()] * self.whole_joint_m(segment);
+            }
+        }
+        origins
+    }
+}
+
+/// Orientations of the 23, segment to room, by [`WholeSegment::index`], from those of all segments that can wear a sensor, by [`BodySegment::index`].
+pub fn whole(orientations: &[UnitQuaternion<f64>; SEGMENTS]) -> [UnitQuaternion<f64>; WHOLE] {
+    let of = |segment: BodySegment| orientations[segment.index()];
+    let (pelvis, torso) = (of(BodySegment::Pelvis), of(BodySegment::Torso));
+    let bend = log(&(pelvis.inverse() * torso));
+    let nod = log(&(torso.inverse() * of(BodySegment::Head)));
+    let mut all = [pelvis; WHOLE];
+    for segment in WholeSegment::ALL {
+        let bent = |share: f64| pelvis * exp(&(bend * share));
+        all[segment.index()] = match segment {
+            W::L5 => bent(BEND[0]),
+            W::L3 => bent(BEND[0] + BEND[1]),
+            W::T12 => bent(BEND[0] + BEND[1] + BEND[2]),
+            W::Neck => torso * exp(&(nod * NECK_BEND)),
+            W::ShoulderR | W::ShoulderL => torso,
+            W::ToeR => toes(&of(BodySegment::FootR)),
+            W::ToeL => toes(&of(BodySegment::FootL)),
+            _ => segment.measured_as().map_or(pelvis, of),
+        };
+    }
+    all
+}
+
+/// Toes of a foot that rolls over its ball stay level; of any other they go with it.
+fn toes(foot: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
+    // Toes bend upwards by 60 degrees at most, and not downwards.
+    const BENT_RAD: f64 = 1.05;
+    let forward = foot * Vector3::x();
+    let down_rad = -libm::asin(forward.z.clamp(-1.0, 1.0));
+    foot * exp(&(Vector3::z() * down_rad.clamp(0.0, BENT_RAD)))
+}
+
+/// The T-pose that programs for animation begin with: segment to room of a body that looks along the room's x, arms level to the sides, palms down.
+pub fn whole_t_pose(segment: WholeSegment) -> UnitQuaternion<f64> {
+    let arm =
+        matches!(segment, W::UpperArmR | W::ForearmR | W::HandR | W::UpperArmL | W::ForearmL | W::HandL);
+    let raised_rad = if arm { -segment.side() * std::f64::consts::FRAC_PI_2 } else { 0.0 };
+    upright() * exp(&(Vector3::x() * raised_rad))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::body::{joint_rotation, of_joint};
+
+    fn body(bent: &[(BodySegment, [f64; 3])]) -> [UnitQuaternion<f64>; SEGMENTS] {
+        let mut all = [upright(); SEGMENTS];
+        for segment in Skeleton::PARENTS_FIRST {
+            let Some(parent) = segment.parent() else { continue };
+            let angles = bent.iter().find(|(at, _)| *at == segment).map_or([0.0; 3], |(_, angles)| *angles);
+            assert!(!of_joint(segment).is_empty());
+            all[segment.index()] = all[parent.index()] * joint_rotation(segment, &angles);
+        }
+        all
+    }
+
+    #[test]
+    fn parents_come_first_and_lengths_make_up_the_height() {
+        for (k, segment) in WholeSegment::ALL.into_iter().enumerate() {
+            assert!(segment.index() == k && segment.parent().is_none_or(|parent| parent.index() < k));
+        }
+        let skeleton = Skeleton::from_height(1.8);
+        let all = whole(&body(&[]));
+        let origins = skeleton.whole_origins_m(&all, Vector3::new(0.0, 0.0, 0.53 * 1.8));
+        let end = |segment: WholeSegment| {
+            origins[segment.index()] + all[segment.index()] * skeleton.whole_end_m(segment).unwrap()
+        };
+        assert!((end(W::Head).z - 1.8).abs() < 1e-9, "{}", end(W::Head));
+        assert!(end(W::ToeR).z.abs() < 1e-9 && end(W::ToeL).z.abs() < 1e-9);
+        // Upright it is the body of fifteen.
+        let fifteen = skeleton.origins_m(&body(&[]), Vector3::new(0.0, 0.0, 0.53 * 1.8));
+        for segment in WholeSegment::ALL {
+            let Some(as_measured) = segment.measured_as() else { continue };
+            if !matches!(segment, W::T8 | W::Head) {
+                let off_m = (origins[segment.index()] - fifteen[as_measured.index()]).norm();
+                assert!(off_m < 1e-9, "{segment:?} {off_m}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_bow_bends_the_spine_evenly_and_a_nod_the_neck_half() {
+        let all =
+            whole(&body(&[(BodySegment::Torso, [1.0, 0.0, 0.0]), (BodySegment::Head, [0.6, 0.0, 0.0])]));
+        let between = |a: W, b: W| all[a.index()].angle_to(&all[b.index()]);
+        for (pair, share) in
+            [(W::Pelvis, W::L5), (W::L5, W::L3), (W::L3, W::T12), (W::T12, W::T8)].iter().zip(BEND)
+        {
+            assert!((between(pair.0, pair.1) - share).abs() < 1e-9, "{pair:?}");
+        }
+        assert!(
+            (between(W::T8, W::Neck) - 0.3).abs() < 1e-9 && (between(W::Neck, W::Head) - 0.3).abs() < 1e-9
+        );
+        assert!((BEND.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn toes_stay_on_the_floor_while_the_heel_rises_and_go_with_a_foot_that_points_up() {
+        for (dorsiflexion, toe_up) in [(-0.6, 0.0), (0.4, 0.4), (-1.4, -0.35)] {
+            let all = whole(&body(&[(BodySegment::FootR, [dorsiflexion, 0.0, 0.0])]));
+            let forward = all[W::ToeR.index()] * Vector3::x();
+            assert!((libm::asin(forward.z) - toe_up).abs() < 1e-9, "{dorsiflexion} {forward}");
+        }
+    }
+
+    #[test]
+    fn a_t_pose_is_one() {
+        let reaches = |segment: W| whole_t_pose(segment) * -Vector3::y();
+        assert!((reaches(W::HandR) - -Vector3::y()).norm() < 1e-12, "to the right");
+        assert!((reaches(W::ForearmL) - Vector3::y()).norm() < 1e-12, "to the left");
+        assert!((reaches(W::LowerLegL) - -Vector3::z()).norm() < 1e-12);
+    }
+}
