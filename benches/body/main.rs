@@ -39,6 +39,8 @@ struct Case {
     seed: u64,
     /// By the published filter of limbs.
     euler: bool,
+    /// Whether head, hands and feet wear sensors, too.
+    everywhere: bool,
 }
 
 impl Case {
@@ -53,6 +55,7 @@ impl Case {
             activity_s: 60.0,
             seed: 1,
             euler: false,
+            everywhere: false,
         }
     }
 }
@@ -65,6 +68,8 @@ struct Figures {
     knee: f64,
     shoulder: f64,
     hip: f64,
+    /// Head against the torso, hands against the forearms, feet against the shanks, the whole rotation.
+    ends: [f64; 3],
     /// Of the torso, and of the worst segment's heading.
     torso: f64,
     heading: f64,
@@ -101,8 +106,9 @@ fn record(case: &Case) -> Run {
     let frames = ((script.activity_s() + case.activity_s) * RATE_HZ) as usize;
     for _ in 0..frames {
         let (samples, at) = wearer.step();
-        let samples: BodySamples = samples.map(|sample| {
-            Some(ImuSample {
+        let samples: BodySamples = BodySegment::ALL.map(|segment| {
+            let sample = samples[segment.index()];
+            (case.everywhere || !BodySegment::EXTREMITIES.contains(&segment)).then_some(ImuSample {
                 gyro_rad_s: sample.gyro_rad_s,
                 accel_m_s2: sample.accel_m_s2,
                 mag: sample.mag_ut,
@@ -130,6 +136,9 @@ fn mounts(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<SensorM
         return Ok(found.mounts);
     }
     Ok(BodySegment::ALL.map(|segment| {
+        if !case.everywhere && BodySegment::EXTREMITIES.contains(&segment) {
+            return None;
+        }
         let (mount, offset_m) = run.wearer.mounting(segment.index());
         let wrong = match case.mounting {
             Mounting::Wrong(degrees) => {
@@ -177,7 +186,7 @@ fn solve(case: &Case) -> Result<Figures, String> {
     let run = record(case);
     let mounts = mounts(case, &run, &skeleton)?;
     let mut filter = Solver::new(case, &skeleton, &mounts);
-    let mut sums = [0.0; 7];
+    let mut sums = [0.0; 10];
     let mut headings = [0.0; SEGMENTS];
     let mut nees = [0.0; SEGMENTS];
     let mut count = 0.0;
@@ -225,7 +234,7 @@ fn solve(case: &Case) -> Result<Figures, String> {
             Some(so3::log(&off).z.abs().to_degrees())
         };
         for (sum, segment) in headings.iter_mut().zip(&BodySegment::ALL) {
-            *sum += heading_of(segment).unwrap_or(f64::NAN).powi(2);
+            *sum += heading_of(segment).map_or(0.0, |off_deg| off_deg.powi(2));
         }
         let heading = BodySegment::ALL.iter().filter_map(heading_of).fold(0.0, f64::max);
         let pair = |r: f64, l: f64| 0.5 * (r * r + l * l);
@@ -236,9 +245,13 @@ fn solve(case: &Case) -> Result<Figures, String> {
         sums[4] += pair(rotation(BodySegment::ThighR), rotation(BodySegment::ThighL));
         sums[5] += torso * torso;
         sums[6] += heading * heading;
+        sums[7] += rotation(BodySegment::Head).powi(2);
+        sums[8] += pair(rotation(BodySegment::HandR), rotation(BodySegment::HandL));
+        sums[9] += pair(rotation(BodySegment::FootR), rotation(BodySegment::FootL));
         count += 1.0;
     }
-    let [elbow, pronation, knee, shoulder, hip, torso, heading] = sums.map(|sum| (sum / count).sqrt());
+    let [elbow, pronation, knee, shoulder, hip, torso, heading, ends @ ..] =
+        sums.map(|sum| (sum / count).sqrt());
     let worst =
         BodySegment::ALL.into_iter().max_by(|a, b| headings[a.index()].total_cmp(&headings[b.index()]));
     let worst = worst.map_or("", BodySegment::name);
@@ -248,6 +261,7 @@ fn solve(case: &Case) -> Result<Figures, String> {
         knee,
         shoulder,
         hip,
+        ends,
         torso,
         heading,
         worst,
@@ -300,6 +314,9 @@ fn main() {
         far.disturbances = disturbed(45_f64.to_radians(), 1.0, 0.0);
         row("pure rotation", &far);
     }
+    if only.as_ref().is_none_or(|only| "ends".contains(only.as_str())) {
+        ends();
+    }
     if only.as_ref().is_some_and(|only| "nees".contains(only.as_str())) {
         consistency();
     }
@@ -311,10 +328,37 @@ fn main() {
     }
 }
 
+/// Head, hands and feet that wear sensors, too. `cargo bench --bench body ends`
+fn ends() {
+    emit("\n| case | activity | neck | wrist | ankle | elbow | knee | worst heading |");
+    emit("|---|---|---|---|---|---|---|---|");
+    let skin = SensorErrors { skin_m: 5e-4, skin_rad_m: 2.0, ..SensorErrors::calibrated() };
+    for activity in [Activity::Walking, Activity::Strolling, Activity::Reaching, Activity::Squats] {
+        let cases = [
+            ("perfect mounting", Case::new(activity, Mounting::Perfect)),
+            ("calibrated", Case::new(activity, Mounting::Calibrated)),
+            (
+                "calibrated, clumsy",
+                Case { clumsiness_rad: 0.03, ..Case::new(activity, Mounting::Calibrated) },
+            ),
+            ("skin", Case { errors: skin, ..Case::new(activity, Mounting::Calibrated) }),
+            ("no field", Case { magnetometer: false, ..Case::new(activity, Mounting::Perfect) }),
+        ];
+        for (name, case) in cases {
+            let Ok(f) = solve(&Case { everywhere: true, ..case }) else { continue };
+            let [neck, wrist, ankle] = f.ends;
+            emit(&format!(
+                "| {name} | {activity:?} | {neck:.2} | {wrist:.2} | {ankle:.2} | {:.2} | {:.2} | {:.2} ({}) |",
+                f.elbow, f.knee, f.heading, f.worst
+            ));
+        }
+    }
+}
+
 /// Whether the expected errors are those that are made: ten people, mean over what healthy people do. `cargo bench --bench body nees`
 fn consistency() {
     const PEOPLE: u64 = 10;
-    emit("| segment | normalised squared error per axis |");
+    emit("\n| segment | normalised squared error per axis |");
     emit("|---|---|");
     let mut sums = [0.0; SEGMENTS];
     for activity in HEALTHY {
@@ -330,12 +374,20 @@ fn consistency() {
     }
 }
 
-/// What one epoch of ten IMUs costs the processor.
+/// What one epoch of ten IMUs costs the processor, and of fifteen.
 fn speed() {
-    let case = Case { activity_s: 30.0, ..Case::new(Activity::Walking, Mounting::Perfect) };
-    let run = record(&case);
+    for (count, everywhere) in [(10, false), (15, true)] {
+        epoch(
+            count,
+            &Case { activity_s: 30.0, everywhere, ..Case::new(Activity::Walking, Mounting::Perfect) },
+        );
+    }
+}
+
+fn epoch(count: usize, case: &Case) {
+    let run = record(case);
     let skeleton = Skeleton::from_height(HEIGHT_M);
-    let Ok(mounts) = mounts(&case, &run, &skeleton) else { return };
+    let Ok(mounts) = mounts(case, &run, &skeleton) else { return };
     let mut best_us = f64::INFINITY;
     for _ in 0..5 {
         let mut filter = BodyFilter::new(&skeleton, &mounts, &BodyParams::default());
@@ -347,7 +399,7 @@ fn speed() {
     }
     let bodies = 1e6 / (RATE_HZ * best_us);
     emit(&format!(
-        "\nAn epoch of ten IMUs takes {best_us:.1} us of processor time: one core holds {bodies:.0} bodies at 100 Hz."
+        "\nAn epoch of {count} IMUs takes {best_us:.1} us of processor time: one core holds {bodies:.0} bodies at 100 Hz."
     ));
 }
 

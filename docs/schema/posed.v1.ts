@@ -223,6 +223,14 @@ export type Call = {
   id: RequestId;
   type: "body.calibrate";
 } | {
+  /** How far to the left of the room's x the person looks, degrees; absent: 0. */
+  heading_deg?: number | null;
+  /** The reply carries it. */
+  id: RequestId;
+  /** The IMU, by name; absent: all on the body. */
+  sensor?: string | null;
+  type: "heading.reset";
+} | {
   /** Surveyed points of the room that the sensor is held at, in this order; three or more where no IMU is attached to it. */
   anchors?: RoomPoint[];
   /** The reply carries it. */

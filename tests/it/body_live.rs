@@ -13,7 +13,7 @@ use posed_simulator::inertial::ImuClass;
 use posed_simulator::motion::{Motion, Person};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
 use posed_stage::Stage;
-use posed_stage::input::{Entry, Input};
+use posed_stage::input::{Entry, Input, Request};
 use posed_stage::output::{Body, Estimate, OutcomeKind, PositionSource, SegmentState, SensorState};
 use posed_stage::signals::{self, BodyColumns};
 
@@ -387,6 +387,39 @@ fn nobody_is_shown_before_the_mounting_is_known() {
     simulated.stage.sensors[0].segment = Some("pelvis".into());
     let refused = Pipeline::new(&simulated.stage).unwrap_err().to_string();
     assert!(refused.contains("\"on_torso\" and \"on_pelvis\" sit on the same segment"), "{refused}");
+}
+
+/// Somebody without a compass says which way is ahead; where the field says it, that is refused.
+#[test]
+fn who_looks_ahead_resets_the_heading() {
+    let posing =
+        Person { activity: Activity::Poses, height_m: HEIGHT_M, heading_deg: 40.0, ..Person::default() };
+    let mut simulated = simulated(XBUS, &BodySegment::ALL, |n| n, posing);
+    let request = |sensor: Option<&str>, degrees: f64| Request::HeadingReset {
+        sensor: sensor.map(str::to_owned),
+        heading_rad: degrees.to_radians(),
+    };
+    let refused = |rig: &Rig, request: &Request| rig.pipeline.check_request(request).unwrap_err().to_string();
+    let rig = simulated.run(1.0);
+    let sentence = refused(&rig, &request(None, 0.0));
+    assert!(sentence.contains("where the field tells it, nobody has to"), "{sentence}");
+
+    simulated.stage.sensors.iter_mut().for_each(|sensor| sensor.magnetometer = false);
+    let mut rig = simulated.run(1.0);
+    let ahead_deg = |rig: &Rig| {
+        let forward = q(bodies(rig).last().unwrap(), BodySegment::Pelvis) * Vector3::x();
+        libm::atan2(forward.y, forward.x).to_degrees()
+    };
+    assert!(ahead_deg(&rig).abs() < 3.0, "{}", ahead_deg(&rig));
+    let sentence = refused(&rig, &request(Some("nobody"), 0.0));
+    assert!(sentence.contains("no sensor \"nobody\""), "{sentence}");
+    assert!(refused(&rig, &request(None, f64::NAN)).contains("heading_deg"));
+    rig.pipeline.check_request(&request(Some("on_head"), 0.0)).unwrap();
+    let entry = Entry { t: rig.host.now, input: Input::Request(request(None, 40.0)) };
+    rig.pipeline.push(&entry, &mut |_| {});
+    rig.run_until(1.5);
+    assert!((ahead_deg(&rig) - 40.0).abs() < 3.0, "{}", ahead_deg(&rig));
+    assert_eq!(rig.pipeline.status().requests_refused, 0);
 }
 
 /// The stage that newcomers see: a body at once, where the trackers on it say.

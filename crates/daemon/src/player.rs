@@ -191,6 +191,7 @@ impl Player {
             | Call::FaultsNameCell { .. }
             | Call::SegmentsTrain { .. }
             | Call::BodyCalibrate { .. }
+            | Call::HeadingReset { .. }
             | Call::StageAlign { .. }
             | Call::ImuCalibrate { .. }
             | Call::SessionBegin { .. }

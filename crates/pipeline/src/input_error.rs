@@ -54,6 +54,9 @@ pub enum InputError {
     /// Nobody of this name is counted.
     #[error("subject: nothing is counted for {0:?}")]
     NoSubject(String),
+    /// Nobody wears an IMU whose heading a person could tell.
+    #[error("{0}")]
+    NoHeading(&'static str),
     /// The exercises have no such request.
     #[error("this is no request about exercises")]
     NotAboutExercises,

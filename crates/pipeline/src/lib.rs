@@ -523,20 +523,55 @@ impl Pipeline {
         }
     }
 
-    /// Whether a request about exercises can be carried out now; [`Input::Request`] then does.
+    /// Whether a request about exercises or headings can be carried out now; [`Input::Request`] then does.
     ///
     /// # Errors
     /// What stands against it. Requests about the field are refused here in any case; [`Self::push`] carries
     /// them out all the same.
     pub fn check_request(&self, request: &Request) -> Result<(), InputError> {
-        self.exercise.check(request)
+        match request {
+            Request::HeadingReset { sensor, heading_rad } => {
+                self.heading(sensor.as_deref(), *heading_rad).map(drop)
+            }
+            _ => self.exercise.check(request),
+        }
+    }
+
+    /// The sensor whose heading is to begin anew, `None` for all of the body.
+    fn heading(&self, sensor: Option<&str>, heading_rad: f64) -> Result<Option<SensorIndex>, InputError> {
+        let index = |name: &str| {
+            let at = self.sensors.iter().position(|sensor| sensor.name() == name);
+            at.map(|at| at as SensorIndex).ok_or_else(|| InputError::NoSensor(name.to_owned()))
+        };
+        let sensor = sensor.map(index).transpose()?;
+        if !heading_rad.is_finite() {
+            let (key, expected) = ("heading_deg", "a finite number of degrees".to_owned());
+            return Err(InputError::OutOfRange { key, expected });
+        }
+        let body = self.body.as_ref();
+        if body.is_some_and(|body| body.drifts(sensor)) {
+            return Ok(sensor);
+        }
+        Err(InputError::NoHeading(
+            "there is no IMU on a calibrated human body here whose heading drifts: where the field tells it, nobody has to",
+        ))
     }
 
     fn request(&mut self, request: &Request, emit: &mut impl FnMut(Output<'_>)) {
         // It speaks of the frame before it.
         let t = self.estimate.t_valid;
         let field = self.field.request(request, t, self.sensors.iter().map(Sensor::name), emit);
+        let heading = match request {
+            Request::HeadingReset { sensor, heading_rad } => {
+                let sensor = self.heading(sensor.as_deref(), *heading_rad);
+                sensor.is_ok_and(|sensor| {
+                    self.body.as_mut().is_some_and(|body| body.reset_heading(sensor, *heading_rad))
+                })
+            }
+            _ => false,
+        };
         let done = field
+            || heading
             || self.exercise.request(request, &self.estimate, &mut |outcome| emit(Output::Outcome(outcome)));
         self.requests_refused += u64::from(!done);
     }

@@ -234,6 +234,16 @@ pub enum Call {
         #[serde(default)]
         how: Option<Thoroughness>,
     },
+    /// The person looks this way now, upright: the headings of IMUs on the body that no field tells begin anew from it. Gyros drift; this takes it away.
+    #[serde(rename = "heading.reset")]
+    HeadingReset {
+        /// The IMU, by name; absent: all on the body.
+        #[serde(default)]
+        sensor: Option<String>,
+        /// How far to the left of the room's x the person looks, degrees; absent: 0.
+        #[serde(default)]
+        heading_deg: Option<f64>,
+    },
     /// Finds how the transmitter stands in the room, and how the IMU sits on a magnetic sensor that has one; a job, whose message
     /// states what to do next. Both are swapped in if they are good.
     #[serde(rename = "stage.align")]
@@ -458,7 +468,7 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 35] = [
+const CALLS: [&str; 36] = [
     "record.start",
     "record.stop",
     "replay.list",
@@ -476,6 +486,7 @@ const CALLS: [&str; 35] = [
     "exercise.select",
     "exercise.reset",
     "body.calibrate",
+    "heading.reset",
     "faults.train",
     "faults.name_cell",
     "segments.train",
@@ -567,7 +578,7 @@ fn shortened(text: &str) -> String {
 
 /// Requests of every kind, for tests and as seeds of the fuzz target.
 #[doc(hidden)]
-pub const REQUEST_EXAMPLES: [&str; 38] = [
+pub const REQUEST_EXAMPLES: [&str; 39] = [
     r#"{"type":"subscribe","id":1,"topics":["sensors"],"max_rate_hz":30,"sensors":["a"],"fields":["raw"],"drop":"queue"}"#,
     r#"{"type":"unsubscribe","id":"x","topics":["status","body"]}"#,
     r#"{"type":"resume","id":1,"after":7}"#,
@@ -584,6 +595,7 @@ pub const REQUEST_EXAMPLES: [&str; 38] = [
     r#"{"type":"field.accept","id":1}"#,
     r#"{"type":"field.rollback","id":1}"#,
     r#"{"type":"job.cancel","id":1,"job":3}"#,
+    r#"{"type":"heading.reset","id":1,"sensor":"a","heading_deg":90}"#,
     r#"{"type":"stage.align","id":1,"sensor":"a","anchors":[{"name":"door","position_m":[1,0,0]}]}"#,
     r#"{"type":"imu.calibrate","id":1,"sensor":"a"}"#,
     r#"{"type":"exercise.list","id":1}"#,

@@ -185,6 +185,14 @@ pub enum Request {
     },
     /// Ends that: the recording goes out as `Output::PoleRun`, empty where none was under way. The map is solved elsewhere.
     FieldFinish {},
+    /// The person looks this way now, upright: the headings of IMUs that no field tells begin anew from it.
+    HeadingReset {
+        /// The IMU, by name; absent: all on the body.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        sensor: Option<String>,
+        /// How far to the left of the room's x the person looks, rad.
+        heading_rad: f64,
+    },
 }
 
 /// How much of an exercise is to be done.

@@ -20,6 +20,7 @@ export class CalibrateRecordView implements View {
     el("option", { value: "full" }, "poses, elbows and knees"), el("option", { value: "quick" }, "two poses only"),
     el("option", { value: "assign" }, "every limb: find which sensor sits where"));
   private readonly calibrate = el("button", { id: "calibrate", class: "primary" }, "Calibrate the body");
+  private readonly ahead = el("button", { id: "heading-reset", title: "Stand upright and look along the room's x" }, "I look ahead: headings begin anew");
   private readonly prompt = el("p", { id: "prompt", class: "sentence", role: "status" });
   private readonly quality = new Table("mounting", "How well each sensor's mounting shows", [["Segment"], ["Sensor"], ["Disagreement, degrees"]]);
   private readonly body = el("section", { hidden: true });
@@ -40,11 +41,12 @@ export class CalibrateRecordView implements View {
       return link.request(name === "" ? { type: "record.start" } : { type: "record.start", name });
     }));
     this.stop.addEventListener("click", acting(this.says, () => link.request({ type: "record.stop" })));
+    this.ahead.addEventListener("click", acting(this.says, () => link.request({ type: "heading.reset" })));
     this.calibrate.addEventListener("click", acting(this.says, () =>
       link.request({ type: "body.calibrate", how: this.how.value as Thoroughness })));
     this.quality.element.hidden = true;
     this.body.append(el("h2", {}, "Body"),
-      el("div", { class: "row" }, el("label", {}, "What is done ", this.how), this.calibrate), this.prompt, this.quality.element);
+      el("div", { class: "row" }, el("label", {}, "What is done ", this.how), this.calibrate, this.ahead), this.prompt, this.quality.element);
     this.element = el("div", {},
       el("h2", {}, "Recording"),
       el("div", { class: "row" }, el("label", {}, "Name ", this.name), this.start, this.stop),
@@ -75,6 +77,9 @@ export class CalibrateRecordView implements View {
       : "not recording");
     this.body.hidden = !hello?.skeleton || !!status?.replay;
     this.how.parentElement!.hidden = hello?.skeleton !== "human";
+    // Where the field tells the headings nobody has to.
+    this.ahead.hidden = hello?.skeleton !== "human" || this.context.model.body?.heading !== "held";
+    this.ahead.disabled = !operates;
     const calibrations = jobs?.jobs.filter(({ kind }) => kind === "body.calibrate") ?? [];
     this.drawCalibration(calibrations[calibrations.length - 1], operates);
     this.units.draw(jobs?.jobs ?? [], operates);

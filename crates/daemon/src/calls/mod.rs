@@ -189,6 +189,10 @@ impl Calls {
             Call::FaultsNameCell { row, column, class } => self.name_cell(row, column, class, reply),
             Call::SegmentsTrain { epochs, look_ahead } => self.train_segments(epochs, look_ahead, reply),
             Call::BodyCalibrate { how } => self.calibrate_body(how.unwrap_or_default(), reply),
+            Call::HeadingReset { sensor, heading_deg } => {
+                let heading_rad = heading_deg.unwrap_or(0.0).to_radians();
+                self.request(Request::HeadingReset { sensor, heading_rad }, Vec::new(), reply);
+            }
             Call::StageAlign { sensor, anchors } => self.align_stage(sensor, anchors, reply),
             Call::ImuCalibrate { sensor } => self.calibrate_imu(sensor, reply),
             Call::SessionBegin { person, plan, subject } => {

@@ -140,8 +140,7 @@ impl LimbFilter {
         }
         self.astray_s = if self.is_astray(base, sensors, own) { self.astray_s + dt_s } else { 0.0 };
         if self.astray_s > ASTRAY_S {
-            self.astray_s = 0.0;
-            self.filter = Filter::Waiting;
+            self.restart();
         }
         if matches!(self.filter, Filter::Waiting) {
             self.begin(base, own);
@@ -165,6 +164,12 @@ impl LimbFilter {
             }
             reports
         })
+    }
+
+    /// Begins anew from its sensors' own orientations.
+    pub(super) fn restart(&mut self) {
+        self.astray_s = 0.0;
+        self.filter = Filter::Waiting;
     }
 
     /// Whether both sensors, by a field that is believed, say otherwise than the limb.

@@ -314,6 +314,42 @@ impl BodyFilter {
         }
     }
 
+    /// Whether the heading of the sensor on this segment is held by its gyro alone: it has begun, and no sample of it had a field.
+    pub fn drifts(&self, segment: BodySegment) -> bool {
+        self.sensors[segment.index()].as_ref().is_some_and(|sensor| sensor.started && !sensor.magnetometer)
+    }
+
+    /// The person looks so far to the left of the room's x, rad, upright, arms hanging or raised to the side: the headings of these segments' sensors, by
+    /// [`BodySegment::index`], begin anew from that, where no field tells them. Limbs begin anew with them; of one whose other sensor is not meant that one
+    /// goes on from where the limb has it. False where none of them drifts.
+    pub fn reset_heading(&mut self, of: &[bool; SEGMENTS], heading_rad: f64) -> bool {
+        let before = self.estimate.orientations;
+        let meant = |segment: BodySegment| of[segment.index()];
+        let mut done = false;
+        for segment in BodySegment::ALL.into_iter().filter(|segment| meant(*segment)) {
+            if let (true, Some(sensor)) = (self.drifts(segment), &mut self.sensors[segment.index()]) {
+                sensor.look(heading_rad);
+                done = true;
+            }
+        }
+        for (limb, filter) in Limb::ALL.into_iter().zip(&mut self.limbs) {
+            let [_, upper, lower] = limb.segments();
+            for (one, other) in [(upper, lower), (lower, upper)] {
+                let kept = before[other.index()].filter(|_| meant(one) && !meant(other));
+                if let (Some(q), Some(sensor)) = (kept, &mut self.sensors[other.index()]) {
+                    sensor.look(yaw_from_upright(&q));
+                }
+            }
+            if done && (meant(upper) || meant(lower)) {
+                filter.restart();
+            }
+        }
+        if done && BodySegment::ALL.into_iter().filter(|segment| self.drifts(*segment)).all(meant) {
+            self.held_s = 0.0;
+        }
+        done
+    }
+
     /// What the feet say of one time; `None` unless the sensors on pelvis and both legs show it.
     fn legs(&mut self, samples: &BodySamples) -> Option<Legs> {
         let shows = |segment: BodySegment| {
@@ -484,6 +520,14 @@ impl Sensor {
                 });
                 self.heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading);
             }
+        }
+    }
+
+    /// Its segment looks so far to the left of the room's x, rad; nothing where a field tells that.
+    fn look(&mut self, heading_rad: f64) {
+        if let (false, Some(q)) = (self.magnetometer, self.orientation()) {
+            let turn_rad = heading_rad - yaw_from_upright(&q);
+            self.heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_rad) * self.heading;
         }
     }
 

@@ -434,6 +434,47 @@ fn trackers_alone_show_the_limbs_between_them() {
     assert!(follower.push(&[]).is_none());
 }
 
+/// Gyros drift; who stands and looks ahead takes it away.
+#[test]
+fn headings_begin_anew_from_who_looks_ahead() {
+    let script = Script { activity: Activity::Poses, calibration: false, facing: 0.6, mistake: None };
+    let mut wearer = wearer_of(script, false, 4);
+    let mounts = BodySegment::ALL.map(|segment| {
+        let (q_segment_sensor, offset_m) = wearer.mounting(segment.index());
+        let heading_rad = Some(0.4 * segment.index() as f64);
+        Some(SensorMount { q_segment_sensor, offset_m, heading_rad })
+    });
+    let mut filter = BodyFilter::new(&Skeleton::from_height(1.8), &mounts, &BodyParams::default());
+    let mut worst_deg = |filter: &mut BodyFilter, seconds: f64| {
+        let (recording, truth) = record(&mut wearer, seconds);
+        recording.iter().for_each(|(_, samples)| _ = filter.push(samples, 0.01));
+        let (found, truth) = (filter.estimate().orientations, truth.last().unwrap());
+        let off = |(found, truth): (&Option<UnitQuaternion<f64>>, &UnitQuaternion<f64>)| {
+            found.unwrap().angle_to(truth).to_degrees()
+        };
+        found.iter().zip(truth).map(off).fold(0.0, f64::max)
+    };
+    assert!(worst_deg(&mut filter, 1.0) > 30.0);
+    assert!(filter.reset_heading(&[true; SEGMENTS], 0.6));
+    let off_deg = worst_deg(&mut filter, 0.5);
+    assert!(off_deg < 4.0, "{off_deg}");
+    // One alone, on no limb and on one: the others go on as they were.
+    for segment in [BodySegment::Head, BodySegment::ThighR] {
+        let turned = UnitQuaternion::from_axis_angle(&V::z_axis(), 0.7);
+        let sensor = filter.sensors[segment.index()].as_mut().unwrap();
+        sensor.heading = turned * sensor.heading;
+        let mut only = [false; SEGMENTS];
+        only[segment.index()] = true;
+        assert!(filter.reset_heading(&only, 0.6));
+        let off_deg = worst_deg(&mut filter, 0.2);
+        assert!(off_deg < 4.0, "{segment:?} {off_deg}");
+    }
+    // Where a field tells it nobody has to.
+    let (mut filter, mut wearer) = mounted(Activity::Poses, 4);
+    record(&mut wearer, 0.5).0.iter().for_each(|(_, samples)| _ = filter.push(samples, 0.01));
+    assert!(!filter.reset_heading(&[true; SEGMENTS], 0.0) && !filter.drifts(BodySegment::Torso));
+}
+
 /// As people wear who play in virtual reality.
 #[test]
 fn head_hands_and_feet_are_turned_as_their_trackers() {

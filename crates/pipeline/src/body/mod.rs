@@ -220,6 +220,29 @@ impl BodyStage {
         }
     }
 
+    /// Whether the heading of this IMU, or of any, is held by gyros alone.
+    pub(super) fn drifts(&self, sensor: Option<SensorIndex>) -> bool {
+        let Solver::Imus(filter) = &self.solver else { return false };
+        self.on_body(sensor).any(|segment| filter.drifts(segment))
+    }
+
+    /// The person looks so far to the left of the room's x, rad: the headings of this IMU, or of all, that no field tells begin anew. False where there is none.
+    pub(super) fn reset_heading(&mut self, sensor: Option<SensorIndex>, heading_rad: f64) -> bool {
+        let mut only = [false; SEGMENTS];
+        self.on_body(sensor).for_each(|segment| only[segment.index()] = true);
+        let Solver::Imus(filter) = &mut self.solver else { return false };
+        filter.reset_heading(&only, heading_rad)
+    }
+
+    /// Segments that wear this IMU, or any.
+    fn on_body(&self, sensor: Option<SensorIndex>) -> impl Iterator<Item = BodySegment> + use<> {
+        let imus = *self.epochs.imus();
+        BodySegment::ALL.into_iter().filter(move |segment| match (imus[segment.index()], sensor) {
+            (Some(worn), Some(asked)) => worn == asked,
+            (worn, _) => worn.is_some(),
+        })
+    }
+
     /// The latest body; none before the first.
     pub(super) fn latest(&self) -> Option<&Body> {
         (self.out.segments.iter().any(|segment| segment.state != SegmentState::Missing)).then_some(&self.out)

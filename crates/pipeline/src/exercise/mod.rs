@@ -142,7 +142,9 @@ impl ExerciseStage {
                 let known = self.subjects.iter().any(|known| known.name() == subject);
                 if known { Ok(()) } else { Err(InputError::NoSubject(subject.clone())) }
             }
-            Request::FieldStart { .. } | Request::FieldFinish {} => Err(InputError::NotAboutExercises),
+            Request::FieldStart { .. } | Request::FieldFinish {} | Request::HeadingReset { .. } => {
+                Err(InputError::NotAboutExercises)
+            }
         }
     }
 
@@ -167,7 +169,7 @@ impl ExerciseStage {
                     known.reset(estimate.t_valid, emit);
                 }
             }
-            Request::FieldStart { .. } | Request::FieldFinish {} => {}
+            Request::FieldStart { .. } | Request::FieldFinish {} | Request::HeadingReset { .. } => {}
         }
         true
     }
