@@ -419,6 +419,9 @@ fn who_looks_ahead_resets_the_heading() {
     rig.pipeline.push(&entry, &mut |_| {});
     rig.run_until(1.5);
     assert!((ahead_deg(&rig) - 40.0).abs() < 3.0, "{}", ahead_deg(&rig));
+    // Nobody looks better ahead than that.
+    let sigma_deg = bodies(&rig).last().unwrap().heading_sigma_rad.unwrap().to_degrees();
+    assert!((2.5..3.5).contains(&sigma_deg), "{sigma_deg}");
     assert_eq!(rig.pipeline.status().requests_refused, 0);
 }
 

@@ -53,6 +53,7 @@ impl ChainStage {
             out: Body {
                 t_valid: Default::default(),
                 heading: Heading::Unknown,
+                heading_sigma_rad: None,
                 position_source: PositionSource::Origin,
                 contacts: None,
                 segments: vec![SegmentEstimate::default(); imus.len()],

@@ -238,6 +238,7 @@ fn where_a_body_is_put_is_no_movement() {
         let body = Body {
             t_valid: Timestamp::from_secs_f64(t_s),
             heading: Heading::Field,
+            heading_sigma_rad: Some(0.02),
             position_source,
             contacts: None,
             segments: skeleton.origins_m(&standing, pelvis_m).iter().map(segment).collect(),

@@ -186,6 +186,7 @@ mod tests {
         let body = Body {
             t_valid: Timestamp::ZERO,
             heading,
+            heading_sigma_rad: Some(0.02),
             position_source,
             contacts: None,
             segments: Vec::new(),

@@ -248,6 +248,7 @@ mod tests {
         let mut body = Body {
             t_valid: Timestamp::from_nanos(2_000_000),
             heading: Heading::Held(1.25),
+            heading_sigma_rad: Some(0.02),
             position_source: PositionSource::Trackers,
             contacts: None,
             segments: vec![SegmentEstimate::default(); SEGMENTS],

@@ -26,6 +26,7 @@ fn body(t_ms: i64) -> Body {
     Body {
         t_valid,
         heading,
+        heading_sigma_rad: Some(0.02),
         position_source,
         contacts: None,
         segments: vec![segment; SEGMENTS],

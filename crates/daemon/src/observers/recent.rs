@@ -58,10 +58,13 @@ impl Recent {
 
     /// The body, which comes before the estimate of its frame.
     fn body(&mut self, body: &Body) {
-        let Body { t_valid, heading, position_source, contacts, angles_rad, spread, .. } = *body;
+        let Body {
+            t_valid, heading, heading_sigma_rad, position_source, contacts, angles_rad, spread, ..
+        } = *body;
         self.body = Some(Body {
             t_valid,
             heading,
+            heading_sigma_rad,
             position_source,
             contacts,
             segments: Vec::new(),

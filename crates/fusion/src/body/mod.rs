@@ -66,6 +66,8 @@ use travel::{Legs, TravelFilter, carried};
 /// came.
 pub type BodySamples = [Option<ImuSample>; SEGMENTS];
 
+/// How well people look straight ahead with all of their segments, rad: a heading that somebody asserts is wrong by that.
+const AHEAD_RAD: f64 = 0.05;
 /// Without a sample for so long the last rate goes on, s; then the segment holds still.
 const HOLD_S: f64 = 0.1;
 /// Rate at which a heading drifts that the gyro holds, rad/s.
@@ -139,6 +141,9 @@ pub struct BodyEstimate {
     pub faults: [Option<Cause>; SEGMENTS],
     /// Where the heading comes from.
     pub heading: Heading,
+    /// Its standard deviation, rad: a calibrated magnetometer's, or how far gyros that a rest has calibrated drift since a field told it last, or since it
+    /// was reset. Pi where it is unknown.
+    pub heading_sigma_rad: f64,
     /// Where the hips are by the feet; `None` unless sensors have shown the pelvis and both legs.
     pub travel: Option<Travel>,
 }
@@ -152,6 +157,7 @@ impl Default for BodyEstimate {
             spread: AngleSpread::default(),
             faults: [None; SEGMENTS],
             heading: Heading::Unknown,
+            heading_sigma_rad: std::f64::consts::PI,
             travel: None,
         }
     }
@@ -196,6 +202,8 @@ struct Sensor {
     magnetometer: bool,
     /// From its level frame to the room, where it has no magnetometer.
     heading: UnitQuaternion<f64>,
+    /// By how much it was wrong when somebody asserted it last, rad; 0: nobody has.
+    asserted_rad: f64,
     watch: Watch,
 }
 
@@ -235,6 +243,7 @@ impl BodyFilter {
             patience_s: 0.0,
             magnetometer: false,
             heading: UnitQuaternion::identity(),
+            asserted_rad: 0.0,
             watch: Watch::default(),
         };
         Self {
@@ -476,6 +485,10 @@ impl BodyFilter {
                 Heading::Held(self.held_s)
             }
         };
+        out.heading_sigma_rad = trunk.map_or(std::f64::consts::PI, |sensor| {
+            let [_, heading] = sensor.lasting_rad2(self.held_s);
+            heading.sqrt().min(std::f64::consts::PI)
+        });
     }
 }
 
@@ -490,7 +503,8 @@ impl Sensor {
     /// The same as variances of a tilt about each level axis and of the heading, rad².
     fn lasting_rad2(&self, held_s: f64) -> [f64; 2] {
         let magnetometer = if self.magnetometer { CALIBRATED_HEADING_RAD } else { 0.0 };
-        [CALIBRATED_TILT_RAD.powi(2), magnetometer.powi(2) + (DRIFT_RAD_S * held_s).powi(2)]
+        let heading = magnetometer.powi(2) + self.asserted_rad.powi(2) + (DRIFT_RAD_S * held_s).powi(2);
+        [CALIBRATED_TILT_RAD.powi(2), heading]
     }
 
     fn push(&mut self, sample: Option<&ImuSample>, age_s: f64, dt_s: f64) {
@@ -528,6 +542,7 @@ impl Sensor {
         if let (false, Some(q)) = (self.magnetometer, self.orientation()) {
             let turn_rad = heading_rad - yaw_from_upright(&q);
             self.heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_rad) * self.heading;
+            self.asserted_rad = AHEAD_RAD;
         }
     }
 

@@ -112,6 +112,7 @@ impl BodyStage {
             out: Body {
                 t_valid: Default::default(),
                 heading: Heading::Unknown,
+                heading_sigma_rad: None,
                 position_source: PositionSource::Origin,
                 contacts: None,
                 segments: vec![SegmentEstimate::default(); SEGMENTS],
@@ -300,6 +301,8 @@ impl BodyStage {
         self.out.position_source = position_source;
         self.out.contacts = found.travel.and_then(|travel| travel.contacts);
         self.out.heading = found.heading;
+        let is_known = found.heading != Heading::Unknown;
+        self.out.heading_sigma_rad = is_known.then_some(found.heading_sigma_rad);
         self.out.angles_rad = found.angles_rad;
         self.out.spread = found.spread;
         for (segment, out) in BodySegment::ALL.into_iter().zip(&mut self.out.segments) {
@@ -339,6 +342,7 @@ impl BodyStage {
         self.out.position_source = PositionSource::Trackers;
         self.out.contacts = None;
         self.out.heading = Heading::Field;
+        self.out.heading_sigma_rad = Some(TRACKED_RAD);
         self.out.angles_rad = angles(&figure.orientations.map(Some));
         for segment in BodySegment::ALL {
             let index = segment.index();

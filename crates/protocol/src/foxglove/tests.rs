@@ -76,6 +76,7 @@ fn figure() -> Body {
     Body {
         t_valid: Timestamp::from_nanos(1_250_000_000),
         heading: Heading::Field,
+        heading_sigma_rad: Some(0.02),
         position_source: PositionSource::Trackers,
         contacts: None,
         segments: BodySegment::ALL.map(segment).into(),

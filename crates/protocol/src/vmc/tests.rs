@@ -41,6 +41,7 @@ fn body(orientations: &[UnitQuaternion<f64>; SEGMENTS]) -> Body {
     Body {
         t_valid,
         heading: Heading::Field,
+        heading_sigma_rad: Some(0.02),
         position_source: PositionSource::Trackers,
         contacts: None,
         segments,

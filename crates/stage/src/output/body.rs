@@ -17,6 +17,8 @@ pub struct Body {
     pub t_valid: Timestamp,
     /// Where its heading comes from.
     pub heading: Heading,
+    /// Its standard deviation, rad, if it is known at all.
+    pub heading_sigma_rad: Option<f64>,
     /// Where its position comes from.
     pub position_source: PositionSource,
     /// How likely the right and the left foot stand, 0 to 1; absent unless sensors show the pelvis and both legs now.
