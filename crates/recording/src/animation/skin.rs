@@ -12,6 +12,9 @@ use posed_fusion::body::{Skeleton, WholeSegment as W};
 /// Points around a solid, and rings along each of its round ends and between them.
 const AROUND: usize = 14;
 const RINGS: usize = 4;
+/// A round end reaches beyond its point by no more than this, of the solid's length; the head's solid ends so much below its top.
+const ROUND: f64 = 0.7;
+const BELOW_TOP: f64 = 0.4;
 /// A solid's first part, of its length, bends with the bone above, too.
 const BENDS: f64 = 0.25;
 
@@ -63,6 +66,7 @@ impl Skin {
             });
             let from_m = skin.joints_m[at];
             let to_m = match (bone.end_m, below) {
+                (Some(end_m), _) if bone.segment == W::Head => from_m + end_m * (1.0 - BELOW_TOP),
                 (Some(end_m), _) => from_m + end_m,
                 (None, Some(below)) => skin.joints_m[below],
                 (None, None) => continue,
@@ -107,13 +111,13 @@ impl Skin {
             let (place_m, width, slant) = if ring <= RINGS {
                 let angle = std::f64::consts::FRAC_PI_2 * (1.0 - ring as f64 / RINGS as f64);
                 let (s, c) = libm::sincos(angle);
-                (-s * halves_m[0][1].min(0.3 * length_m), c, -s)
+                (-s * halves_m[0][1].min(ROUND * length_m), c, -s)
             } else if ring < 2 * RINGS {
                 (length_m * (ring - RINGS) as f64 / RINGS as f64, 1.0, 0.0)
             } else {
                 let angle = std::f64::consts::FRAC_PI_2 * (ring - 2 * RINGS) as f64 / RINGS as f64;
                 let (s, c) = libm::sincos(angle);
-                (length_m + s * halves_m[1][1].min(0.3 * length_m), c, s)
+                (length_m + s * halves_m[1][1].min(ROUND * length_m), c, s)
             };
             let t = (place_m / length_m).clamp(0.0, 1.0);
             let half = |k: usize| width * (halves_m[0][k] + t * (halves_m[1][k] - halves_m[0][k]));
