@@ -223,7 +223,7 @@ export type Call = {
   id: RequestId;
   type: "body.calibrate";
 } | {
-  /** How far to the left of the room's x the person looks, degrees; absent: 0. */
+  /** How far to the left of the room's x the person looks, degrees, -360 to 360; absent: 0. */
   heading_deg?: number | null;
   /** The reply carries it. */
   id: RequestId;

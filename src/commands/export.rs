@@ -19,7 +19,7 @@ use super::{Error, print, print_json};
 pub(crate) struct Args {
     /// The recording.
     recording: PathBuf,
-    /// csv: filtered poses with their state. jsonl: every published message, one on each line. bvh, trc, glb, vrm, vrma, usda: the body.
+    /// csv: filtered poses with their state. jsonl: every published message, one on each line. bvh, glb, vrm, vrma, usda, trc, c3d, sto: the body.
     /// mcap: a recording with every message and all channels for viewers.
     #[arg(long, value_enum)]
     to: Format,
@@ -47,6 +47,8 @@ enum Format {
     Vrm,
     Vrma,
     Usda,
+    C3d,
+    Sto,
     Mcap,
 }
 
@@ -71,6 +73,8 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         Format::Vrm => body(animation::Format::Vrm)?,
         Format::Vrma => body(animation::Format::Vrma)?,
         Format::Usda => body(animation::Format::Usda)?,
+        Format::C3d => body(animation::Format::C3d)?,
+        Format::Sto => body(animation::Format::Sto)?,
         Format::Jsonl => {
             export::jsonl(&recording, &output, |bytes| progress.at(bytes)).map_err(Error::failed)?
         }

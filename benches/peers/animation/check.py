@@ -3,8 +3,8 @@
 
 usage: check.py RECORDING [--posed PATH] [--node FOLDER]
 
-Needs bvh, numpy, pygltflib and usd-core (PyPI); with --node, a folder in which `npm i gltf-validator` was run, glTF's own validator, too.
-USD by UsdSkel (Pixar), BVH by the package bvh, glTF by pygltflib; poses of every tenth frame. It ends with 1 where a joint is off by a millimetre
+Needs bvh, ezc3d, numpy, pygltflib and usd-core (PyPI); with --node, a folder in which `npm i gltf-validator` was run, glTF's own validator, too.
+USD by UsdSkel (Pixar), BVH by the package bvh, glTF by pygltflib, C3D by ezc3d (rotations and, of hips and legs, points); poses of every tenth frame. It ends with 1 where a joint is off by a millimetre
 or a validator finds an error; where a skeleton has fewer pieces of the spine than ours, the shoulders' and the head's limit is 3 mm.
 """
 import argparse
@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 
+import ezc3d
 import numpy as np
 from bvh import Bvh
 from pxr import Usd, UsdSkel
@@ -99,6 +100,22 @@ def joints_of_gltf(path, frames):
     return found
 
 
+def joints_of_c3d(path, frames):
+    """Of the rotations' last columns, and of markers, mm in the room to m in the figure's axes."""
+    read = ezc3d.c3d(str(path))
+    figure = lambda at: np.array([at[1], at[2], at[0]]) / 1000
+    names = read["parameters"]["ROTATION"]["LABELS"]["value"]
+    markers = read["parameters"]["POINT"]["LABELS"]["value"]
+    rotations, points = read["data"]["rotations"], read["data"]["points"]
+    legs = {"hips": "pelvis", **{f"{ours}_{side}": f"{theirs}_{side}" for side in "rl" for ours, theirs in {"hip": "upper_leg", "knee": "lower_leg", "ankle": "foot"}.items()}}
+    found = []
+    for frame in frames:
+        whole = {name: figure(rotations[:3, 3, k, frame]) for k, name in enumerate(names)}
+        whole.update({f"{theirs} marker": figure(points[:3, markers.index(ours), frame]) for ours, theirs in legs.items()})
+        found.append(whole)
+    return found
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("recording", type=pathlib.Path)
@@ -122,6 +139,8 @@ def main():
         files = [export(to)[0] for to in ("glb", "vrm", "vrma")]
         others["glb"] = (joints_of_gltf(files[0], frames), VRM)
         others["vrma"] = (joints_of_gltf(files[2], frames), VRM)
+        c3d = joints_of_c3d(export("c3d")[0], frames)
+        others["c3d"] = (c3d, {name: name.removesuffix(" marker") for name in c3d[0]})
         right = True
         print("| file | joints | frames | worst off, mm | at |")
         print("|---|---|---|---|---|")

@@ -44,6 +44,8 @@ mod status;
 mod supervised;
 mod units;
 
+use std::f64::consts::TAU;
+
 use nalgebra::Isometry3;
 use posed_drivers::{LineEvent, Sample, Timestamp, session::Output as SessionOutput};
 use posed_state::State;
@@ -544,8 +546,8 @@ impl Pipeline {
             at.map(|at| at as SensorIndex).ok_or_else(|| InputError::NoSensor(name.to_owned()))
         };
         let sensor = sensor.map(index).transpose()?;
-        if !heading_rad.is_finite() {
-            let (key, expected) = ("heading_deg", "a finite number of degrees".to_owned());
+        if !(-TAU..=TAU).contains(&heading_rad) {
+            let (key, expected) = ("heading_deg", "-360 to 360".to_owned());
             return Err(InputError::OutOfRange { key, expected });
         }
         let body = self.body.as_ref();

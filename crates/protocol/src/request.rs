@@ -240,7 +240,7 @@ pub enum Call {
         /// The IMU, by name; absent: all on the body.
         #[serde(default)]
         sensor: Option<String>,
-        /// How far to the left of the room's x the person looks, degrees; absent: 0.
+        /// How far to the left of the room's x the person looks, degrees, -360 to 360; absent: 0.
         #[serde(default)]
         heading_deg: Option<f64>,
     },

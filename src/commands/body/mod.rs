@@ -47,7 +47,7 @@ struct Solve {
     /// The stage file with the body; absent: the recording's own.
     #[arg(long, value_name = "S.toml")]
     stage: Option<PathBuf>,
-    /// Where segments and angles go; the human skeleton also to an animation that ends in .bvh, .trc, .glb, .vrm, .vrma or .usda.
+    /// Where segments and angles go; the human skeleton also to an animation that ends in .bvh, .trc, .glb, .vrm, .vrma, .usda, .c3d or .sto.
     #[arg(short, long, value_name = "ANGLES.csv")]
     output: PathBuf,
     /// Samples per second of each sensor, for a file without a column `t`.

@@ -57,7 +57,7 @@ async fn the_demo_s_body_stands_moves_and_is_exported_from_its_recording() {
     assert!(sentence.contains("\"wand\" is no IMU"), "{sentence}");
     assert_eq!(posed_demo.end("INT").await.code(), Some(0));
 
-    for to in ["bvh", "trc", "glb", "vrm", "vrma", "usda"] {
+    for to in ["bvh", "trc", "glb", "vrm", "vrma", "usda", "c3d", "sto"] {
         let output = folder.path().join(format!("take.{to}"));
         let args = ["export", recording.to_str().unwrap(), "--to", to, "-o", output.to_str().unwrap()];
         let done = posed(args);

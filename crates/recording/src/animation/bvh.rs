@@ -6,10 +6,9 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::Frame;
 use super::humanoid::{Bone, Pose, bones};
-use WholeSegment as W;
-use posed_fusion::body::{Skeleton, WholeSegment};
+use posed_fusion::body::{Skeleton, WholeSegment as W};
 
-/// Which program's names a BVH file has, and its unit of length, which the format does not tell.
+/// Which program's names a BVH file has, and its unit of length, which the format does not state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum BoneNames {
     /// All 23 segments by posed's own names; m.
@@ -25,8 +24,13 @@ pub enum BoneNames {
 
 impl BoneNames {
     /// `None` where the program knows no such bone.
-    fn of(self, segment: WholeSegment) -> Option<String> {
+    fn of(self, segment: W) -> Option<String> {
         let side = segment.side();
+        let sided = |right: &'static str, left: &'static str| match side {
+            side if side > 0.0 => right,
+            side if side < 0.0 => left,
+            _ => "",
+        };
         match self {
             Self::Posed => Some(segment.name().to_owned()),
             Self::Blender => {
@@ -47,14 +51,7 @@ impl BoneNames {
                     W::FootR | W::FootL => "foot",
                     W::ToeR | W::ToeL => "toe",
                 };
-                let end = if side > 0.0 {
-                    ".R"
-                } else if side < 0.0 {
-                    ".L"
-                } else {
-                    ""
-                };
-                Some(format!("{name}{end}"))
+                Some(format!("{name}{}", sided(".R", ".L")))
             }
             Self::Motionbuilder | Self::Mixamo => {
                 let name = match segment {
@@ -79,14 +76,7 @@ impl BoneNames {
                     W::ToeR | W::ToeL => "ToeBase",
                 };
                 let prefix = if self == Self::Mixamo { "mixamorig:" } else { "" };
-                let begin = if side > 0.0 {
-                    "Right"
-                } else if side < 0.0 {
-                    "Left"
-                } else {
-                    ""
-                };
-                Some(format!("{prefix}{begin}{name}"))
+                Some(format!("{prefix}{}{name}", sided("Right", "Left")))
             }
         }
     }

@@ -50,7 +50,7 @@ pub(super) fn bones(skeleton: &Skeleton, name: impl Fn(WholeSegment) -> Option<S
 }
 
 /// Joint centres in the T-pose from the hips' mid-point, m, the figure's axes.
-pub(super) fn rest_m(skeleton: &Skeleton) -> [Vector3<f64>; WHOLE] {
+fn rest_m(skeleton: &Skeleton) -> [Vector3<f64>; WHOLE] {
     let pose = WholeSegment::ALL.map(whole_t_pose);
     skeleton.whole_origins_m(&pose, Vector3::zeros()).map(|at_m| into_figure(&at_m))
 }
@@ -58,7 +58,7 @@ pub(super) fn rest_m(skeleton: &Skeleton) -> [Vector3<f64>; WHOLE] {
 /// A body at one time: where the hips are, m, and how every segment is turned since the T-pose, both in the figure's axes.
 pub(super) struct Pose {
     pub(super) hips_m: Vector3<f64>,
-    pub(super) turned: [UnitQuaternion<f64>; WHOLE],
+    turned: [UnitQuaternion<f64>; WHOLE],
 }
 
 impl Pose {

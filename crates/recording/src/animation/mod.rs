@@ -1,15 +1,18 @@
-//! A body's movement as files that other programs open: BVH, TRC, glTF with VRM, and USD.
+//! A body's movement as files that other programs open: BVH, TRC, C3D, STO, glTF with VRM, and USD.
 //!
 //! In: a skeleton, and segment orientations over time (room, z up). Out: files with y up. Those for animation hold the 23 segments of
 //! [`posed_fusion::body::WholeSegment`] at rest in a T-pose and look along +z; TRC holds points in the axes of a body that looks along the room's x: x forward,
 //! y up, z right, as ISB and OpenSim have it. It never leaves a half-written file behind, and never invents frames but to make them equally spaced.
 
 mod bvh;
+mod c3d;
 mod glb;
 mod gltf;
 mod humanoid;
 mod items;
+mod markers;
 mod skin;
+mod sto;
 #[cfg(test)]
 mod tests;
 mod trc;
@@ -41,6 +44,10 @@ pub enum Format {
     Vrm,
     /// The movement of VRM 1.0, for any such model.
     Vrma,
+    /// C3D for motion laboratories: the same markers and the rotations of 23 segments; mm, z up.
+    C3d,
+    /// Orientations of segments for OpenSim's OpenSense, a quaternion for each body.
+    Sto,
     /// USD as text, with a skeleton of UsdSkel and its animation, m.
     Usda,
 }
@@ -55,6 +62,8 @@ impl Format {
             "vrm" => Some(Self::Vrm),
             "vrma" => Some(Self::Vrma),
             "usda" => Some(Self::Usda),
+            "c3d" => Some(Self::C3d),
+            "sto" => Some(Self::Sto),
             _ => None,
         }
     }
@@ -118,6 +127,8 @@ impl Animation {
             Format::Glb => glb::bytes(&self.skeleton, &frames, glb::Kind::Glb),
             Format::Vrm => glb::bytes(&self.skeleton, &frames, glb::Kind::Vrm),
             Format::Vrma => glb::bytes(&self.skeleton, &frames, glb::Kind::Vrma),
+            Format::C3d => c3d::bytes(&self.skeleton, rate_hz, &frames),
+            Format::Sto => sto::text(rate_hz, &frames).into_bytes(),
             Format::Usda => usd::text(&self.skeleton, rate_hz, &frames).into_bytes(),
         };
         let failed = |source| AnimationError::Io { file: path.display().to_string(), source };

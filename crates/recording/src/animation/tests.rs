@@ -249,6 +249,54 @@ fn a_usd_file_has_a_rotation_of_every_joint_at_every_time() {
 }
 
 #[test]
+fn a_c3d_file_has_what_its_parameters_say() {
+    let animation = moving();
+    let (rate_hz, frames) = animation.even().unwrap();
+    let bytes = c3d::bytes(&animation.skeleton, rate_hz, &frames);
+    let word = |at: usize| usize::from(u16::from_le_bytes([bytes[at], bytes[at + 1]]));
+    let float = |at: usize| f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+    assert_eq!((bytes[0], bytes[1], word(2), word(8), bytes.len() % 512), (2, 0x50, 19, frames.len(), 0));
+    // From record to record, as a reader goes.
+    let (mut at, mut starts) = (512 + 4, Vec::new());
+    while bytes[at] != 0 {
+        let name = &bytes[at + 2..at + 2 + usize::from(bytes[at])];
+        let offset = at + 2 + usize::from(bytes[at]);
+        if name == b"DATA_START" {
+            starts.push(word(offset + 4));
+        }
+        at = offset + word(offset);
+    }
+    assert!(at < 512 * (1 + usize::from(bytes[514])));
+    assert_eq!((starts.len(), starts[0]), (2, word(16)));
+    // The last hips, mm, z up; and the last rotation's residual, behind which there are zeros alone.
+    let hips = 512 * (starts[0] - 1) + 16 * 19 * (frames.len() - 1);
+    let expected = frames.last().unwrap().pelvis_m * 1000.0;
+    assert!((f64::from(float(hips + 8)) - expected.z).abs() < 1e-3 && float(hips + 12) == 0.0);
+    let rotations = 512 * (starts[1] - 1);
+    let end = rotations + 4 * 17 * 23 * frames.len();
+    assert!(end <= bytes.len() && bytes.len() - end < 512);
+    let column: f32 = (0..3).map(|k| float(rotations + 4 * k).powi(2)).sum();
+    assert!((column - 1.0).abs() < 1e-5 && float(rotations + 60) == 1.0);
+}
+
+#[test]
+fn a_sto_file_has_a_quaternion_of_every_body() {
+    let animation = moving();
+    let (rate_hz, frames) = animation.even().unwrap();
+    let text = sto::text(rate_hz, &frames);
+    let (header, table) = text.split_once("endheader\n").unwrap();
+    assert!(header.lines().any(|line| line == "DataType=Quaternion"));
+    let rows: Vec<Vec<&str>> = table.lines().map(|line| line.split('\t').collect()).collect();
+    assert!(rows[0][0] == "time" && rows[0][1] == "pelvis_imu" && rows.len() == 1 + frames.len());
+    assert!(rows.iter().all(|row| row.len() == 15));
+    // It begins upright, all axes parallel to OpenSim's.
+    for cell in &rows[1][1..] {
+        let parts: Vec<f64> = cell.split(',').map(|part| part.parse().unwrap()).collect();
+        assert!(parts.len() == 4 && (parts[0].abs() - 1.0).abs() < 1e-6, "{cell}");
+    }
+}
+
+#[test]
 fn items_move_along_their_paths_with_y_up() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("items.glb");
