@@ -1,6 +1,8 @@
 //! Input without sense, and stages without sense.
 
 use posed_drivers::{LineEvent, Measurement, Timestamp};
+use posed_stage::input::Model;
+use posed_stage::output::{Outcome, OutcomeKind};
 
 use super::*;
 

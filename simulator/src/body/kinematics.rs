@@ -134,13 +134,18 @@ impl Posture {
         upright(rotation) * about_z(-tilt) * about_x(list)
     }
 
+    /// Thigh and shank to room below a pelvis with these axes; `sign` is 1 on the right and -1 on the left.
+    fn leg_axes(&self, side: usize, sign: f64, pelvis: &Matrix3<f64>) -> [Matrix3<f64>; 2] {
+        let [flexion, adduction, rotation] = self.hip[side];
+        let thigh = pelvis * about_z(flexion) * about_x(sign * adduction) * about_y(sign * rotation);
+        [thigh, thigh * about_z(-self.knee[side])]
+    }
+
     /// Turns an ankle so that the foot has these axes in the room.
     pub(super) fn plant(&mut self, side: usize, foot: &Matrix3<f64>) {
         let sign = if side == 0 { 1.0 } else { -1.0 };
-        let [flexion, adduction, rotation] = self.hip[side];
-        let thigh =
-            self.pelvis_axes() * about_z(flexion) * about_x(sign * adduction) * about_y(sign * rotation);
-        let m = (thigh * about_z(-self.knee[side])).transpose() * foot;
+        let [_, shank] = self.leg_axes(side, sign, &self.pelvis_axes());
+        let m = shank.transpose() * foot;
         self.ankle[side] = [
             libm::atan2(-m[(0, 1)], m[(1, 1)]),
             sign * libm::asin(m[(2, 1)].clamp(-1.0, 1.0)),
@@ -169,9 +174,7 @@ impl Posture {
             let forearm = arm * about_z(flexion) * about_y(sign * pronation);
             let shoulder = shoulders_m + torso * Vector3::new(0.0, 0.0, sign * 0.5 * build.shoulder_width_m);
             let elbow = shoulder - arm * Vector3::new(0.0, build.upper_arm_m, 0.0);
-            let [flexion, adduction, rotation] = self.hip[side];
-            let thigh = pelvis * about_z(flexion) * about_x(sign * adduction) * about_y(sign * rotation);
-            let shank = thigh * about_z(-self.knee[side]);
+            let [thigh, shank] = self.leg_axes(side, sign, &pelvis);
             let hip = hips_m + pelvis * Vector3::new(0.0, 0.0, sign * 0.5 * build.hip_width_m);
             let knee = hip - thigh * Vector3::new(0.0, build.thigh_m, 0.0);
             let [flexion, deviation] = self.wrist[side];

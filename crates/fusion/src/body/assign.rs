@@ -195,14 +195,6 @@ fn was_done(
 /// How much a segment turns in a movement, as a part of what turns most. `None` where people differ: a shank hangs or is
 /// stretched when the thigh is lifted, arms hang or are held when the trunk moves.
 fn share(segment: BodySegment, kind: BlockKind) -> Option<f64> {
-    let legs = [
-        BodySegment::ThighR,
-        BodySegment::ThighL,
-        BodySegment::ShankR,
-        BodySegment::ShankL,
-        BodySegment::FootR,
-        BodySegment::FootL,
-    ];
     let hangs_on = |above: BodySegment| {
         std::iter::successors(segment.parent(), |of| of.parent()).any(|parent| parent == above)
     };
@@ -211,7 +203,7 @@ fn share(segment: BodySegment, kind: BlockKind) -> Option<f64> {
         BlockKind::Bow if matches!(segment, BodySegment::Torso | BodySegment::Pelvis) => Some(1.0),
         BlockKind::TrunkRotation if segment == BodySegment::Torso => Some(1.0),
         BlockKind::TrunkRotation if segment == BodySegment::Pelvis => Some(0.0),
-        BlockKind::Bow | BlockKind::TrunkRotation => legs.contains(&segment).then_some(0.0),
+        BlockKind::Bow | BlockKind::TrunkRotation => BodySegment::LEGS.contains(&segment).then_some(0.0),
         BlockKind::Move(moved, _) if segment == moved => Some(1.0),
         BlockKind::Move(moved, _) if hangs_on(moved) => None,
         BlockKind::Move(..) => Some(0.0),

@@ -272,15 +272,7 @@ impl Guide {
 }
 
 fn arms(present: &[bool; SEGMENTS]) -> impl Iterator<Item = usize> + '_ {
-    let arms = [
-        BodySegment::UpperArmR,
-        BodySegment::ForearmR,
-        BodySegment::UpperArmL,
-        BodySegment::ForearmL,
-        BodySegment::HandR,
-        BodySegment::HandL,
-    ];
-    arms.into_iter().map(BodySegment::index).filter(|index| present[*index])
+    BodySegment::ARMS.into_iter().map(BodySegment::index).filter(|index| present[*index])
 }
 
 /// In the order in which they are bent where it is not known who is who.

@@ -70,6 +70,14 @@ impl BodySegment {
     /// What ends the chains of the others. No limb's filter knows them: each goes by its own sensor, and hangs straight without one.
     pub const EXTREMITIES: [Self; 5] = [Self::Head, Self::HandR, Self::FootR, Self::HandL, Self::FootL];
 
+    /// Of the arms, hands included.
+    pub const ARMS: [Self; 6] =
+        [Self::UpperArmR, Self::ForearmR, Self::UpperArmL, Self::ForearmL, Self::HandR, Self::HandL];
+
+    /// Of the legs, feet included, from above.
+    pub const LEGS: [Self; 6] =
+        [Self::ThighR, Self::ThighL, Self::ShankR, Self::ShankL, Self::FootR, Self::FootL];
+
     /// Its name in files and messages.
     pub fn name(self) -> &'static str {
         match self {

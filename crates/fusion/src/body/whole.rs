@@ -297,8 +297,7 @@ fn toes(foot: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
 
 /// The T-pose that programs for animation begin with: segment to room of a body that looks along the room's x, arms level to the sides, palms down.
 pub fn whole_t_pose(segment: WholeSegment) -> UnitQuaternion<f64> {
-    let arm =
-        matches!(segment, W::UpperArmR | W::ForearmR | W::HandR | W::UpperArmL | W::ForearmL | W::HandL);
+    let arm = segment.measured_as().is_some_and(|segment| BodySegment::ARMS.contains(&segment));
     let raised_rad = if arm { -segment.side() * std::f64::consts::FRAC_PI_2 } else { 0.0 };
     upright() * exp(&(Vector3::x() * raised_rad))
 }

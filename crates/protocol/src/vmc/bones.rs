@@ -44,15 +44,7 @@ pub(super) fn name(segment: BodySegment) -> &'static str {
 fn rest(segment: BodySegment) -> UnitQuaternion<f64> {
     // Forward (x) is the room's y, up (y) its z, right (z) its x.
     let upright = UnitQuaternion::new_unchecked(Quaternion::new(0.5, 0.5, 0.5, 0.5));
-    let arm = matches!(
-        segment,
-        BodySegment::UpperArmR
-            | BodySegment::ForearmR
-            | BodySegment::HandR
-            | BodySegment::UpperArmL
-            | BodySegment::ForearmL
-            | BodySegment::HandL
-    );
+    let arm = BodySegment::ARMS.contains(&segment);
     // Raised sideways, about the axis that points forward.
     let raised_rad = if arm { -segment.side() * FRAC_PI_2 } else { 0.0 };
     upright * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), raised_rad)

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::Frame;
-use super::humanoid::{Bone, Pose, bones};
+use super::humanoid::{Bone, Pose, below, bones};
 use posed_fusion::body::{Skeleton, WholeSegment as W};
 
 /// Which program's names a BVH file has, and its unit of length, which the format does not state.
@@ -103,7 +103,7 @@ pub(super) fn text(skeleton: &Skeleton, rate_hz: f64, frames: &[Frame], names: B
     let _ = writeln!(out, "MOTION\nFrames: {count}\nFrame Time: {:.9}", 1.0 / rate_hz);
     if let Some(first) = rest {
         let begin_m = Pose::of(first).hips_m;
-        let stands_m = skeleton.thigh_m + skeleton.shank_m + skeleton.foot_m;
+        let stands_m = bones[0].offset_m.y;
         line(&mut out, Vector3::new(begin_m.x, stands_m, begin_m.z) * per_m, order.iter().map(|_| [0.0; 3]));
     }
     for frame in frames {
@@ -130,13 +130,14 @@ fn joint(out: &mut String, bones: &[Bone], at: usize, depth: usize, per_m: f64, 
         let o = m * per_m;
         format!("OFFSET {:.6} {:.6} {:.6}", o.x, o.y, o.z)
     };
-    let (word, channels) = match bone.parent {
-        None => ("ROOT", "6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"),
-        Some(_) => ("JOINT", "3 Zrotation Xrotation Yrotation"),
+    // The root's place is among its channels.
+    let (word, at_m, channels) = match bone.parent {
+        None => ("ROOT", Vector3::zeros(), "6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"),
+        Some(_) => ("JOINT", bone.offset_m, "3 Zrotation Xrotation Yrotation"),
     };
     let _ = writeln!(out, "{pad}{word} {}\n{pad}{{", bone.name);
-    let _ = writeln!(out, "{pad}\t{}\n{pad}\tCHANNELS {channels}", offset(&bone.offset_m));
-    for child in (0..bones.len()).filter(|child| bones[*child].parent == Some(at)) {
+    let _ = writeln!(out, "{pad}\t{}\n{pad}\tCHANNELS {channels}", offset(&at_m));
+    for child in below(bones, at) {
         joint(out, bones, child, depth + 1, per_m, order);
     }
     if let Some(end_m) = &bone.end_m {

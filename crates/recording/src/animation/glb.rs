@@ -1,11 +1,10 @@
 //! Binary glTF 2.0: a skinned figure in a T-pose and one animation of its bones; the same as a VRM 1.0 model, and the animation alone for any VRM model.
 
-use nalgebra::Vector3;
 use serde_json::{Map, Value, json};
 
 use super::Frame;
 use super::gltf::{Buffer, Channels, Contents, file};
-use super::humanoid::{Bone, Pose, bones};
+use super::humanoid::{Bone, Pose, below, bones};
 use super::skin::Skin;
 use posed_fusion::body::{Skeleton, WholeSegment as W};
 
@@ -53,13 +52,12 @@ fn vrm_bone(segment: W) -> Option<String> {
 /// Soles at height 0 in the rest pose, the hips above the origin.
 pub(super) fn bytes(skeleton: &Skeleton, frames: &[Frame], kind: Kind) -> Vec<u8> {
     let bones = bones(skeleton, vrm_bone);
-    let hips_m = Vector3::y() * (skeleton.thigh_m + skeleton.shank_m + skeleton.foot_m);
-    let mut nodes = nodes(&bones, hips_m);
+    let mut nodes = nodes(&bones);
     let mut roots = vec![0];
     let mut buffer = Buffer::default();
     let (mut meshes, mut skins) = (Vec::new(), Vec::new());
     if kind != Kind::Vrma {
-        let skin = Skin::of(skeleton, &bones, hips_m);
+        let skin = Skin::of(skeleton, &bones);
         roots.push(nodes.len());
         nodes.push(json!({"name": "body", "mesh": 0, "skin": 0}));
         meshes.push(json!({"name": "body", "primitives": [skin.primitive(&mut buffer)]}));
@@ -90,11 +88,11 @@ pub(super) fn bytes(skeleton: &Skeleton, frames: &[Frame], kind: Kind) -> Vec<u8
     file(Contents { name: "body", roots, nodes, meshes, skins, materials, extension }, channels, buffer)
 }
 
-fn nodes(bones: &[Bone], hips_m: Vector3<f64>) -> Vec<Value> {
+fn nodes(bones: &[Bone]) -> Vec<Value> {
     let node = |(at, bone): (usize, &Bone)| {
-        let m = if bone.parent.is_none() { hips_m } else { bone.offset_m };
+        let m = bone.offset_m;
         let mut node = json!({"name": bone.name, "translation": [m.x, m.y, m.z]});
-        let below: Vec<usize> = (0..bones.len()).filter(|child| bones[*child].parent == Some(at)).collect();
+        let below: Vec<usize> = below(bones, at).collect();
         // An empty list is against the format.
         if !below.is_empty() {
             node["children"] = json!(below);

@@ -9,7 +9,8 @@ use super::Frame;
 use posed_fusion::body::{Skeleton, WHOLE, WholeSegment, whole, whole_t_pose};
 use posed_geometry::so3::{exp, log};
 
-/// A bone: the segment whose rotation it has, its parent among the bones, and from the parent's joint to its own in the rest pose, m.
+/// A bone: the segment whose rotation it has, its parent among the bones, and from the parent's joint to its own in the rest pose, m; of the hips, from the
+/// floor below them.
 pub(super) struct Bone {
     pub(super) name: String,
     pub(super) segment: WholeSegment,
@@ -40,13 +41,29 @@ pub(super) fn bones(skeleton: &Skeleton, name: impl Fn(WholeSegment) -> Option<S
             }
             continue;
         };
-        let from_m = parent.map_or_else(Vector3::zeros, |at: usize| rest[bones[at].segment.index()]);
-        let offset_m = if parent.is_some() { rest[segment.index()] - from_m } else { Vector3::zeros() };
+        let stands_m = Vector3::y() * (skeleton.thigh_m + skeleton.shank_m + skeleton.foot_m);
+        let offset_m =
+            parent.map_or(stands_m, |at: usize| rest[segment.index()] - rest[bones[at].segment.index()]);
         let end_m = skeleton.whole_end_m(segment).map(|end_m| into_figure(&(whole_t_pose(segment) * end_m)));
         places[segment.index()] = Some(bones.len());
         bones.push(Bone { name, segment, parent, offset_m, end_m, with: None });
     }
     bones
+}
+
+/// The bones that hang on one.
+pub(super) fn below(bones: &[Bone], at: usize) -> impl Iterator<Item = usize> {
+    (0..bones.len()).filter(move |child| bones[*child].parent == Some(at))
+}
+
+/// Where the bones' joints are in the rest pose, m, the soles at height 0.
+pub(super) fn joints_m(bones: &[Bone]) -> Vec<Vector3<f64>> {
+    let mut joints_m: Vec<Vector3<f64>> = Vec::with_capacity(bones.len());
+    for bone in bones {
+        let above_m = bone.parent.map_or_else(Vector3::zeros, |parent| joints_m[parent]);
+        joints_m.push(above_m + bone.offset_m);
+    }
+    joints_m
 }
 
 /// Joint centres in the T-pose from the hips' mid-point, m, the figure's axes.

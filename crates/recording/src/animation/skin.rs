@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use serde_json::{Value, json};
 
 use super::gltf::Buffer;
-use super::humanoid::Bone;
+use super::humanoid::{Bone, below, joints_m};
 use posed_fusion::body::{Skeleton, WholeSegment as W};
 
 /// Points around a solid, and rings along each of its round ends and between them.
@@ -51,19 +51,13 @@ pub(super) struct Skin {
 }
 
 impl Skin {
-    /// The figure in the rest pose with the hips there, m.
-    pub(super) fn of(skeleton: &Skeleton, bones: &[Bone], hips_m: Vector3<f64>) -> Self {
-        let mut joints_m: Vec<Vector3<f64>> = Vec::with_capacity(bones.len());
-        for bone in bones {
-            joints_m.push(bone.parent.map_or(hips_m, |parent| joints_m[parent] + bone.offset_m));
-        }
-        let mut skin = Self { joints_m, ..Self::default() };
-        let height_m = hips_m.y + skeleton.trunk_m + skeleton.head_m;
+    /// The figure in the rest pose.
+    pub(super) fn of(skeleton: &Skeleton, bones: &[Bone]) -> Self {
+        let mut skin = Self { joints_m: joints_m(bones), ..Self::default() };
+        let height_m = bones[0].offset_m.y + skeleton.trunk_m + skeleton.head_m;
         for (at, bone) in bones.iter().enumerate() {
-            let below = bones.iter().position(|child| {
-                // The middle one of several.
-                child.parent == Some(at) && (child.segment.side() == bone.segment.side())
-            });
+            // The middle one of several.
+            let below = below(bones, at).find(|child| bones[*child].segment.side() == bone.segment.side());
             let from_m = skin.joints_m[at];
             let to_m = match (bone.end_m, below) {
                 (Some(end_m), _) if bone.segment == W::Head => from_m + end_m * (1.0 - BELOW_TOP),

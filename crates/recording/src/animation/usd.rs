@@ -5,23 +5,16 @@ use std::fmt::Write;
 use nalgebra::Vector3;
 
 use super::Frame;
-use super::humanoid::{Bone, Pose, bones};
+use super::humanoid::{Pose, bones, joints_m};
 use posed_fusion::body::{Skeleton, WholeSegment};
 
 /// Time codes are frames.
 pub(super) fn text(skeleton: &Skeleton, rate_hz: f64, frames: &[Frame]) -> String {
     let bones = bones(skeleton, |segment: WholeSegment| Some(segment.name().to_owned()));
-    let hips_m = Vector3::y() * (skeleton.thigh_m + skeleton.shank_m + skeleton.foot_m);
-    let local = |bone: &Bone| if bone.parent.is_none() { hips_m } else { bone.offset_m };
     let mut paths: Vec<String> = Vec::with_capacity(bones.len());
-    let mut global: Vec<Vector3<f64>> = Vec::with_capacity(bones.len());
     for bone in &bones {
-        let (path, at_m) = match bone.parent {
-            Some(parent) => (format!("{}/{}", paths[parent], bone.name), global[parent] + bone.offset_m),
-            None => (bone.name.clone(), hips_m),
-        };
-        paths.push(path);
-        global.push(at_m);
+        let above = bone.parent.map_or_else(String::new, |parent| format!("{}/", paths[parent]));
+        paths.push(above + &bone.name);
     }
     let joints = list(paths.iter().map(|path| format!("\"{path}\"")));
     // Matrices of row vectors: what they move by is in the last row.
@@ -37,8 +30,8 @@ pub(super) fn text(skeleton: &Skeleton, rate_hz: f64, frames: &[Frame]) -> Strin
          uniform token[] joints = {joints}\n        uniform matrix4d[] bindTransforms = {}\n        \
          uniform matrix4d[] restTransforms = {}\n    }}\n    def SkelAnimation \"Anim\"\n    {{\n        \
          uniform token[] joints = {joints}\n        half3[] scales = {}\n",
-        list(global.iter().map(moves)),
-        list(bones.iter().map(|bone| moves(&local(bone)))),
+        list(joints_m(&bones).iter().map(moves)),
+        list(bones.iter().map(|bone| moves(&bone.offset_m))),
         list(bones.iter().map(|_| "(1,1,1)".to_owned())),
     );
     let poses: Vec<Pose> = frames.iter().map(Pose::of).collect();

@@ -14,7 +14,7 @@ use thiserror::Error;
 
 use super::super::block::{Block, BlockKind};
 use super::super::skeleton::{BodySegment, upright};
-use super::facing::{ARMS, HANDS, faced, posture, raised_to, turned_between};
+use super::facing::{ARMS, faced, posture, raised_to, turned_between};
 use super::session::{Axis, Held, Seen, Session};
 use posed_geometry::GRAVITY_M_S2;
 
@@ -248,7 +248,7 @@ fn quarter_turn(segment: BodySegment, rotation: &UnitQuaternion<f64>) -> Result<
 fn upright_in_all(seen: &Seen) -> Result<(), Contradiction> {
     let leans = |block: &Block, held: &Held| {
         BodySegment::ALL.into_iter().try_for_each(|segment| {
-            let is_arm = ARMS.iter().flatten().chain(&HANDS).any(|arm| *arm == segment);
+            let is_arm = BodySegment::ARMS.contains(&segment);
             let limit_deg = match block.kind {
                 BlockKind::TPose if is_arm => return Ok(()),
                 _ if is_arm || segment == BodySegment::Head => HANGS_DEG,

@@ -18,9 +18,6 @@ const RAISED: f64 = 0.7;
 pub(super) const ARMS: [[BodySegment; 2]; 2] =
     [[BodySegment::UpperArmR, BodySegment::ForearmR], [BodySegment::UpperArmL, BodySegment::ForearmL]];
 
-/// What goes with the forearms.
-pub(super) const HANDS: [BodySegment; 2] = [BodySegment::HandR, BodySegment::HandL];
-
 /// The direction that one movement or pose shows in one sensor.
 pub(super) struct Faced {
     pub(super) segment: BodySegment,
@@ -40,7 +37,7 @@ pub(super) fn faced(seen: &Seen) -> impl Iterator<Item = Faced> {
         Some(Faced { segment: axis.segment, kind: axis.block.kind, forward, sigma_deg: axis.sigma_deg })
     });
     // From the N-pose to the T-pose an arm goes to the body's side, however it turns about its own length.
-    let by_arms = ARMS.into_iter().flatten().chain(HANDS).filter_map(|segment| {
+    let by_arms = BodySegment::ARMS.into_iter().filter_map(|segment| {
         let (low, high) = (seen.low()?, seen.high()?);
         let rotation = high[segment.index()]? * low[segment.index()]?.inverse();
         let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -turned_between(low, high));
@@ -110,33 +107,19 @@ fn forward(seen: &Vector3<f64>, nominal: &Vector3<f64>) -> Vector3<f64> {
 
 /// A segment's rotation in a pose against the N-pose.
 pub(in super::super) fn posture(segment: BodySegment, raised: bool) -> UnitQuaternion<f64> {
-    let quarter = std::f64::consts::FRAC_PI_2;
-    match segment {
-        BodySegment::UpperArmR | BodySegment::ForearmR | BodySegment::HandR if raised => {
-            joint_rotation(BodySegment::UpperArmR, &[0.0, quarter, 0.0])
-        }
-        BodySegment::UpperArmL | BodySegment::ForearmL | BodySegment::HandL if raised => {
-            joint_rotation(BodySegment::UpperArmL, &[0.0, quarter, 0.0])
-        }
-        _ => UnitQuaternion::identity(),
+    if !raised || !BodySegment::ARMS.contains(&segment) {
+        return UnitQuaternion::identity();
     }
+    let upper = if segment.side() > 0.0 { BodySegment::UpperArmR } else { BodySegment::UpperArmL };
+    joint_rotation(upper, &[0.0, std::f64::consts::FRAC_PI_2, 0.0])
 }
 
 /// By how much the body turned about the vertical from one pose to another, as the trunk and legs show it, rad.
 pub(super) fn turned_between(first: &Held, second: &Held) -> f64 {
-    let still = [
-        BodySegment::Torso,
-        BodySegment::Pelvis,
-        BodySegment::ThighR,
-        BodySegment::ThighL,
-        BodySegment::ShankR,
-        BodySegment::ShankL,
-        BodySegment::FootR,
-        BodySegment::FootL,
-        BodySegment::Head,
-    ];
-    still
-        .into_iter()
+    let trunk = [BodySegment::Torso, BodySegment::Pelvis].into_iter();
+    trunk
+        .chain(BodySegment::LEGS)
+        .chain([BodySegment::Head])
         .find_map(|segment| {
             let (a, b) = (first[segment.index()]?, second[segment.index()]?);
             Some(yaw_from_upright(&(b * a.inverse() * upright())))

@@ -20,7 +20,7 @@ const BIAS_RAD_S: f64 = 0.035;
 /// How far the segment above a joint must turn meanwhile, root mean square, to show the axis without a magnetometer, rad.
 const PARENT_ROTATES_RAD: f64 = 0.35;
 /// How far a segment must turn in a movement to show its axis, root mean square, rad: 12 degrees, and half of it for head, hands and feet, which turn less far.
-const TURNS_RAD: f64 = 0.21;
+const TURNS_RAD: f64 = 12_f64.to_radians();
 const EXTREMITY_TURNS_RAD: f64 = 0.1;
 /// How well people move about one axis, degrees: about a hinge, and any other.
 const HINGE_DEG: f64 = 2.0;
@@ -219,7 +219,18 @@ impl<'a> Session<'a> {
             return Ok(());
         }
         let side = segment.side();
-        let extremity = BodySegment::EXTREMITIES.contains(&segment);
+        if BodySegment::EXTREMITIES.contains(&segment) {
+            // What it shows of the segment above, that one's own movements show better.
+            let sensor =
+                main_axis(&self.tracks[segment.index()][range], EXTREMITY_TURNS_RAD).map_err(failed)?;
+            let in_segment = match segment {
+                BodySegment::Head => -Vector3::z(),
+                BodySegment::HandR | BodySegment::HandL => Vector3::x() * side,
+                _ => Vector3::z(),
+            };
+            out.push(Axis { block: *block, segment, sensor, in_segment, sigma_deg: BALL_DEG });
+            return Ok(());
+        }
         let hinge = matches!(
             segment,
             BodySegment::ForearmR | BodySegment::ForearmL | BodySegment::ShankR | BodySegment::ShankL
@@ -228,23 +239,16 @@ impl<'a> Session<'a> {
             Movement::Flexion if matches!(segment, BodySegment::ShankR | BodySegment::ShankL) => {
                 (-Vector3::z(), true)
             }
-            Movement::Flexion if segment == BodySegment::Head => (-Vector3::z(), true),
-            Movement::Flexion if matches!(segment, BodySegment::HandR | BodySegment::HandL) => {
-                (Vector3::x() * side, true)
-            }
             Movement::Flexion => (Vector3::z(), true),
             Movement::Abduction => (-Vector3::x() * side, true),
             // The axis goes with the segment: the one above sees it wherever the segment points.
             Movement::Rotation | Movement::Pronation => (Vector3::y() * side, false),
         };
         let sigma_deg = if hinge && both { HINGE_DEG } else { BALL_DEG };
-        // What an extremity shows of the segment above, that one's own movements show better.
-        let both = both && !extremity;
-        let axes = if self.present[parent.index()] && !extremity {
+        let axes = if self.present[parent.index()] {
             self.pair(parent, segment, range).map_err(failed)?
         } else {
-            let needed_rad = if extremity { EXTREMITY_TURNS_RAD } else { TURNS_RAD };
-            [None, Some(main_axis(&self.tracks[segment.index()][range], needed_rad).map_err(failed)?)]
+            [None, Some(main_axis(&self.tracks[segment.index()][range], TURNS_RAD).map_err(failed)?)]
         };
         let [above, below] = axes;
         if let Some(sensor) = above.filter(|_| both) {
