@@ -14,7 +14,7 @@ use posed_stage::input::{Model, Request, SensorIndex};
 use posed_stage::output::{Outcome, OutcomeKind, Output};
 
 impl Pipeline {
-    /// Whether a model can be used now; [`Input::Model`] then swaps it in, unless it is of a part that this stage does not have.
+    /// Whether a model can be used now; [`Input::Model`](crate::Input::Model) then swaps it in, unless it is of a part that this stage does not have.
     ///
     /// # Errors
     /// What stands against it: [`Model::check`], or that there are too many of its kind, or that it costs too much.
@@ -46,7 +46,7 @@ impl Pipeline {
         }
     }
 
-    /// Whether a request about exercises or headings can be carried out now; [`Input::Request`] then does.
+    /// Whether a request about exercises or headings can be carried out now; [`Input::Request`](crate::Input::Request) then does.
     ///
     /// # Errors
     /// What stands against it. Requests about the field are refused here in any case; [`Self::push`] carries
