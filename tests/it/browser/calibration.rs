@@ -79,7 +79,7 @@ fn strapped(folder: &Path, activity: &str, mounted: &[(&str, &str)]) -> std::pat
     let mut text = String::from(
         "name = \"posing\"\n[body]\nheight_m = 1.7\n[[device]]\nname = \"chain\"\ndriver = \"xbus\"\nport = \"auto\"\n\
          baud = 921600\n[simulation]\n[[simulation.body]]\nname = \"person\"\n[simulation.body.motion]\nkind = \"person\"\n\
-         activity = \"ACTIVITY\"\nheight_m = 1.7\n[[simulation.device]]\nname = \"chain\"\nboot_ms = 0.0\n",
+         activity = \"ACTIVITY\"\nheight_m = 1.7\n[[simulation.device]]\nname = \"chain\"\nboot_ms = 0.0\nburst_ms = 1.0\n",
     )
     .replace("ACTIVITY", activity);
     for (index, (emitted, segment)) in mounted.iter().enumerate() {

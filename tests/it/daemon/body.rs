@@ -4,7 +4,7 @@ use std::fs;
 
 use serde_json::{Value, json};
 
-use super::process::{Posed, ok, refused, until};
+use super::process::{Posed, ok, record_start, refused, until};
 use crate::cli::posed;
 
 fn segment<'a>(body: &'a Value, name: &str) -> &'a Value {
@@ -18,8 +18,9 @@ fn z_m(body: &Value, name: &str) -> f64 {
 #[tokio::test]
 async fn the_demo_s_body_stands_moves_and_is_exported_from_its_recording() {
     let folder = tempfile::tempdir().unwrap();
-    let recording = folder.path().join("take.mcap");
-    let posed_demo = Posed::start(["demo", "--record", recording.to_str().unwrap()]);
+    posed_rig::copy_demo(folder.path());
+    let stage = folder.path().join("demo.toml");
+    let posed_demo = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
     let mut client = posed_demo.subscriber(&["body"]).await;
     let mut flexions = Vec::new();
     let mut last = Value::Null;
@@ -55,8 +56,15 @@ async fn the_demo_s_body_stands_moves_and_is_exported_from_its_recording() {
     let (_, sentence) =
         refused(&mut client, json!({"type": "imu.calibrate", "id": 10, "sensor": "wand"})).await;
     assert!(sentence.contains("\"wand\" is no IMU"), "{sentence}");
+    // Not from the start on: to every format, seconds are enough.
+    ok(&mut client, record_start("take")).await;
+    for _ in 0..150 {
+        until(&mut client, "a body", |message| message["type"] == "body").await;
+    }
+    ok(&mut client, json!({"type": "record.stop"})).await;
     assert_eq!(posed_demo.end("INT").await.code(), Some(0));
 
+    let recording = folder.path().join("recordings/take.mcap");
     for to in ["bvh", "trc", "glb", "vrm", "vrma", "usda", "c3d", "sto"] {
         let output = folder.path().join(format!("take.{to}"));
         let args = ["export", recording.to_str().unwrap(), "--to", to, "-o", output.to_str().unwrap()];

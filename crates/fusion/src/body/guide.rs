@@ -15,7 +15,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::block::{Block, BlockKind, Movement, Recorded};
-use super::calibrate::{CalibrationError, Contradiction, objection_to};
+use super::calibrate::{CalibrationError, Contradiction, Tracks, objection_to};
 use super::health::usable;
 use super::places::{Places, Trackers};
 use super::{BodySamples, BodySegment, SEGMENTS};
@@ -62,6 +62,8 @@ pub struct Guide {
     steps: Vec<BlockKind>,
     at: usize,
     recording: Vec<Recorded>,
+    /// What the recording shows of every sensor, kept up with it: after a step nobody waits until all is filtered anew.
+    tracks: Tracks,
     blocks: Vec<Block>,
     /// Where trackers on the body were, since when the pose is held.
     trackers: Option<Trackers>,
@@ -93,6 +95,7 @@ impl Guide {
             present,
             at: 0,
             recording: Vec::new(),
+            tracks: Tracks::new(&present, magnetic),
             blocks: Vec::new(),
             trackers: None,
             objection: None,
@@ -127,6 +130,7 @@ impl Guide {
             return;
         }
         self.recording.push((t_s, *samples));
+        self.tracks.push(t_s, samples);
         let gain = dt_s / (SMOOTH_S + dt_s);
         for (index, sample) in samples.iter().enumerate() {
             let Some(sample) = sample.filter(usable) else { continue };
@@ -211,7 +215,10 @@ impl Guide {
         self.blocks.push(block);
         let is_pose = matches!(block.kind, BlockKind::NPose | BlockKind::TPose);
         let misplaced = self.trackers.as_mut().filter(|_| is_pose).and_then(|at| at.objection_to(block.kind));
-        let contradicted = objection_to(&self.recording, &self.blocks, self.assigned);
+        if !self.tracks.are_as_expected() {
+            self.tracks = Tracks::of(&self.recording);
+        }
+        let contradicted = objection_to(&self.recording, &self.tracks, &self.blocks, self.assigned);
         let was_lowered =
             matches!(contradicted, Some(CalibrationError::Contradicted(Contradiction::Lowered)));
         let was_objected_to = self.objection.is_some();

@@ -22,6 +22,7 @@ pub use self::contradiction::Contradiction;
 pub(super) use self::facing::posture;
 use self::facing::{FACING_DEG, Facing, turned_between};
 use self::session::Session;
+pub(super) use self::session::Tracks;
 use super::SensorMount;
 use super::block::{Block, BlockKind, Movement, Recorded};
 use super::skeleton::{BodySegment, SEGMENTS, Skeleton, upright};
@@ -128,7 +129,8 @@ pub fn calibrate(
     skeleton: &Skeleton,
     offsets_m: &[Option<Vector3<f64>>; SEGMENTS],
 ) -> Result<Calibrated, CalibrationError> {
-    let session = Session::new(recording)?;
+    let tracks = Tracks::of(recording);
+    let session = Session::new(recording, &tracks)?;
     let alone = alone(recording, &session.present);
     let seen = session.seen(if blocks.is_empty() { &alone } else { blocks })?;
     if seen.standing.is_empty() && seen.spread.is_empty() {
@@ -193,11 +195,12 @@ pub fn calibrate(
 /// is not `assigned` which sensor sits where, only what needs no segment is looked at.
 pub(super) fn objection_to(
     recording: &[Recorded],
+    tracks: &Tracks,
     blocks: &[Block],
     assigned: bool,
 ) -> Option<CalibrationError> {
     let objection = || {
-        let session = Session::new(recording)?;
+        let session = Session::new(recording, tracks)?;
         if !assigned {
             let is_pose = |block: &&Block| matches!(block.kind, BlockKind::NPose | BlockKind::TPose);
             let seen = session.seen(&blocks.iter().filter(is_pose).copied().collect::<Vec<_>>())?;

@@ -5,6 +5,7 @@
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
+use super::super::BodySamples;
 use super::super::block::{Block, BlockKind, Movement, Recorded};
 use super::super::skeleton::{BodySegment, SEGMENTS};
 use super::CalibrationError;
@@ -62,58 +63,84 @@ impl Seen {
     }
 }
 
+/// Orientations of all sensors over a recording, as it comes.
+#[derive(Clone, Debug)]
+pub(in super::super) struct Tracks {
+    /// Whether magnetometers count.
+    magnetic: bool,
+    /// `None` where there is no sensor.
+    filters: [Option<Ahrs>; SEGMENTS],
+    last_s: Option<f64>,
+    /// Of which sensors samples came, and samples of a magnetometer.
+    seen: [bool; SEGMENTS],
+    seen_field: [bool; SEGMENTS],
+    /// Sensor to its level frame, or to the room where magnetometers count; empty for absent ones.
+    orientations: [Vec<UnitQuaternion<f64>>; SEGMENTS],
+}
+
+impl Tracks {
+    pub(in super::super) fn new(present: &[bool; SEGMENTS], magnetic: bool) -> Self {
+        let filters = present.map(|present| present.then(|| Ahrs::new(Params::default())));
+        let orientations = std::array::from_fn(|_| Vec::new());
+        let (seen, seen_field) = ([false; SEGMENTS], [false; SEGMENTS]);
+        Self { magnetic, filters, last_s: None, seen, seen_field, orientations }
+    }
+
+    /// Of a whole recording; magnetometers count where all sensors have one.
+    pub(in super::super) fn of(recording: &[Recorded]) -> Self {
+        let any = |of: fn(&ImuSample) -> bool| {
+            std::array::from_fn(|index| recording.iter().any(|(_, s)| s[index].as_ref().is_some_and(of)))
+        };
+        let (seen, seen_field): ([bool; SEGMENTS], _) = (any(|_| true), any(|sample| sample.mag.is_some()));
+        let mut tracks = Self::new(&seen, seen == seen_field);
+        recording.iter().for_each(|(t_s, samples)| tracks.push(*t_s, samples));
+        tracks
+    }
+
+    pub(in super::super) fn push(&mut self, t_s: f64, samples: &BodySamples) {
+        let dt_s = self.last_s.map_or(0.01, |last_s| t_s - last_s);
+        self.last_s = Some(t_s);
+        for (index, sample) in samples.iter().enumerate() {
+            let Some(filter) = &mut self.filters[index] else { continue };
+            match sample {
+                Some(sample) => {
+                    self.seen[index] = true;
+                    self.seen_field[index] |= sample.mag.is_some();
+                    _ = filter.push(&ImuSample { mag: sample.mag.filter(|_| self.magnetic), ..*sample }, dt_s);
+                }
+                None => filter.coast(dt_s),
+            }
+            let q = if self.magnetic { filter.orientation() } else { filter.orientation_6d() };
+            self.orientations[index].push(q);
+        }
+    }
+
+    /// Whether magnetometers came of all sensors, or not, as was expected of them.
+    pub(in super::super) fn are_as_expected(&self) -> bool {
+        self.magnetic == (self.seen == self.seen_field)
+    }
+}
+
 /// The recording with every sensor's orientations.
 pub(super) struct Session<'a> {
     pub(super) recording: &'a [Recorded],
     pub(super) present: [bool; SEGMENTS],
     /// Whether all have magnetometers.
     pub(super) magnetic: bool,
-    /// Sensor to its level frame, or to the room where all have magnetometers; empty for absent ones.
-    pub(super) tracks: [Vec<UnitQuaternion<f64>>; SEGMENTS],
-}
-
-/// Orientations of all sensors over the recording.
-fn tracks(
-    recording: &[Recorded],
-    present: &[bool; SEGMENTS],
-    magnetic: bool,
-) -> [Vec<UnitQuaternion<f64>>; SEGMENTS] {
-    BodySegment::ALL.map(|segment| {
-        let index = segment.index();
-        if !present[index] {
-            return Vec::new();
-        }
-        let mut filter = Ahrs::new(Params::default());
-        let mut last_s = None;
-        let mut track = Vec::with_capacity(recording.len());
-        for (t_s, samples) in recording {
-            let dt_s = last_s.map_or(0.01, |last| t_s - last);
-            last_s = Some(*t_s);
-            match samples[index] {
-                Some(sample) => {
-                    _ = filter.push(&ImuSample { mag: sample.mag.filter(|_| magnetic), ..sample }, dt_s);
-                }
-                None => filter.coast(dt_s),
-            }
-            track.push(if magnetic { filter.orientation() } else { filter.orientation_6d() });
-        }
-        track
-    })
+    /// As in [`Tracks`].
+    pub(super) tracks: &'a [Vec<UnitQuaternion<f64>>; SEGMENTS],
 }
 
 impl<'a> Session<'a> {
+    /// Of a recording and its tracks.
+    ///
     /// # Errors
     /// [`CalibrationError::Empty`] where no sensor has a sample.
-    pub(super) fn new(recording: &'a [Recorded]) -> Result<Self, CalibrationError> {
-        let present =
-            BodySegment::ALL.map(|segment| recording.iter().any(|(_, s)| s[segment.index()].is_some()));
-        if !present.contains(&true) {
+    pub(super) fn new(recording: &'a [Recorded], tracks: &'a Tracks) -> Result<Self, CalibrationError> {
+        if !tracks.seen.contains(&true) {
             return Err(CalibrationError::Empty);
         }
-        let magnetic = BodySegment::ALL.iter().filter(|segment| present[segment.index()]).all(|segment| {
-            recording.iter().any(|(_, samples)| samples[segment.index()].is_some_and(|s| s.mag.is_some()))
-        });
-        Ok(Self { recording, present, magnetic, tracks: tracks(recording, &present, magnetic) })
+        Ok(Self { recording, present: tracks.seen, magnetic: tracks.magnetic, tracks: &tracks.orientations })
     }
 
     /// What these poses and movements show.
