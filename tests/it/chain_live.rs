@@ -1,11 +1,14 @@
 //! A chain of hinges as the pipeline reports it: thigh and shank of a simulated person who walks, without magnetometers.
 
+use std::fmt::Write;
 use std::path::Path;
 
+use posed_fusion::body::BodySegment;
 use posed_fusion::chain;
 use posed_fusion::chain::calibrate;
 use posed_pipeline::Pipeline;
 use posed_recording::table::TableReader;
+use posed_simulator::body::{Activity, Build, Script, SensorErrors, Wearer, WearerSpec};
 use posed_simulator::truth::TruthCycle;
 use posed_stage::Stage;
 use posed_stage::input::{Input, Model};
@@ -116,9 +119,10 @@ fn a_chain_is_calibrated_and_then_followed_as_well_as_a_file_of_it() {
     let done = posed(["body", "solve", &path("take.mcap"), "-o", &path("angles.csv")]);
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     let mut table = TableReader::open(Path::new(&path("angles.csv"))).unwrap();
-    let [t, knee] = table.require(["t", "knee_flexion_deg"]).unwrap();
+    let [t, knee, sigma] = table.require(["t", "knee_flexion_deg", "knee_flexion_sigma_deg"]).unwrap();
     let mut solved = Vec::new();
     while table.next_row().unwrap() {
+        assert!((0.4..3.0).contains(&table.required_number(sigma).unwrap()));
         solved.push((table.required_number(t).unwrap(), table.required_number(knee).unwrap().to_radians()));
     }
     let expected: Vec<_> = offline.poses.iter().map(|pose| (pose.t_s, pose.flexion_rad[1])).collect();
@@ -151,4 +155,89 @@ fn a_calibration_of_another_chain_is_refused() {
     assert_eq!(ChainLayout::of(&Stage::parse(&ball).unwrap()), None);
     let bare = STAGE.replace("segment = \"shank\"\n", "");
     assert_eq!(ChainLayout::of(&Stage::parse(&bare).unwrap()), None);
+}
+
+/// A limb of two segments, and a third that hangs on its second.
+const LIMB: &str = r#"
+name = "limb"
+[body]
+skeleton = "custom"
+[[body.segments]]
+name = "UPPER"
+[[body.segments]]
+name = "LOWER"
+parent = "UPPER"
+joint = "JOINT"
+kind = "hinge"
+"#;
+const LOOSE: &str = r#"
+[[body.segments]]
+name = "shank_l"
+parent = "shank_r"
+joint = "ankle"
+kind = "hinge"
+"#;
+
+/// A squat bends every joint about axes that stay level: nothing shows whether a shank bends against its thigh or goes along with it, and
+/// nothing is written. Where one hinge of several is none, the cells behind it are empty.
+#[test]
+fn an_angle_that_a_file_does_not_show_is_no_number() {
+    let mut csv = String::from("t,sensor,ax,ay,az,gx,gy,gz\n");
+    for (activity, segments) in [
+        (Activity::Walking, [BodySegment::ThighR, BodySegment::ShankR]),
+        (Activity::Squats, [BodySegment::ThighL, BodySegment::ShankL]),
+    ] {
+        let mut wearer = Wearer::new(WearerSpec {
+            script: Script { activity, calibration: false, facing: 0.4, mistake: None },
+            build: Build::of_height(1.8),
+            errors: SensorErrors::calibrated(),
+            magnetometer: false,
+            disturbances: Vec::new(),
+            rate_hz: 100.0,
+            clumsiness_rad: 0.0,
+            seed: 4,
+        });
+        for k in 0..6000 {
+            let (samples, _) = wearer.step();
+            for segment in segments {
+                let sample = samples[segment.index()];
+                let (t_s, a, w) = (f64::from(k) / 100.0, sample.accel_m_s2, sample.gyro_rad_s);
+                let name = segment.name();
+                writeln!(csv, "{t_s},{name},{},{},{},{},{},{}", a.x, a.y, a.z, w.x, w.y, w.z).unwrap();
+            }
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    std::fs::write(path("imus.csv"), csv).unwrap();
+    let limb =
+        |upper, lower, joint| LIMB.replace("UPPER", upper).replace("LOWER", lower).replace("JOINT", joint);
+    let solve = |stage: &str| {
+        std::fs::write(path("stage.toml"), stage).unwrap();
+        let (imus, stage, angles) = (path("imus.csv"), path("stage.toml"), path("angles.csv"));
+        posed(["body", "solve", &imus, "--stage", &stage, "-o", &angles, "--json"])
+    };
+    let done = solve(&limb("thigh_l", "shank_l", "knee"));
+    let said = String::from_utf8_lossy(&done.stderr).into_owned();
+    assert!(
+        done.status.code() == Some(1) && said.contains("`knee`: its axis is known to 90 degrees only"),
+        "{said}"
+    );
+    assert!(!Path::new(&path("angles.csv")).exists());
+
+    let done = solve(&(limb("thigh_r", "shank_r", "knee") + LOOSE));
+    assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+    let answer: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
+    let quality_deg = |at: usize| answer["joints"][at]["quality_deg"].as_f64().unwrap();
+    let play_deg = |at: usize| answer["joints"][at]["play_deg"].as_f64().unwrap();
+    assert!(quality_deg(0) < 5.0 && play_deg(0) < 2.0 && play_deg(1) > 10.0, "{answer}");
+    assert!(answer["warnings"][0].as_str().unwrap().contains("`ankle`"), "{answer}");
+    let mut table = TableReader::open(Path::new(&path("angles.csv"))).unwrap();
+    let known = ["thigh_r_qw", "shank_r_qw", "knee_flexion_deg", "knee_flexion_sigma_deg"];
+    let known = table.require(known).unwrap();
+    let unknown = table.require(["shank_l_qw", "ankle_flexion_deg", "ankle_flexion_sigma_deg"]).unwrap();
+    while table.next_row().unwrap() {
+        assert!(known.iter().all(|column| table.number(*column).unwrap().is_some()));
+        assert!(unknown.iter().all(|column| table.number(*column).unwrap().is_none()));
+    }
 }

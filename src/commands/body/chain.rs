@@ -1,6 +1,6 @@
 //! `posed body solve` of a custom skeleton: a tree of hinges, its mounting found from the movement alone.
 
-use posed_fusion::chain::{self, ChainSegment, Epoch, Solved};
+use posed_fusion::chain::{self, ChainSegment, Epoch, GOOD_DEG, LOOSE_DEG, Solved};
 use posed_geometry::orientation_to_wxyz;
 use posed_recording::animation;
 use posed_recording::table::{Imu, TableError, TableWriter};
@@ -13,6 +13,8 @@ use super::{Error, Solve, epochs, one_each, places, print, print_json};
 struct Summary {
     epochs: usize,
     joints: Vec<JointSummary>,
+    /// What is left out of the table, and why.
+    warnings: Vec<String>,
 }
 
 #[derive(serde::Serialize)]
@@ -24,6 +26,10 @@ struct JointSummary {
     axis: [f64; 3],
     angular_velocity_residual_rad_s: f64,
     excitation: f64,
+    /// As in the live calibration's answer: how well the axis is known, degrees.
+    quality_deg: f64,
+    /// How far its two sensors play against each other, root mean square, degrees.
+    play_deg: f64,
 }
 
 pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Result<(), Error> {
@@ -44,35 +50,60 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
         .map(|(t_s, samples)| Epoch { t_s, samples })
         .collect();
     let solved = chain::solve(&segments, &epochs).map_err(Error::failed)?;
-    write(args, &segments, &solved).map_err(Error::failed)?;
-
     let joints: Vec<JointSummary> = segments
         .iter()
-        .zip(&solved.axes)
-        .filter_map(|(segment, axes)| {
+        .enumerate()
+        .filter_map(|(at, segment)| {
             let (_, name) = segment.hinge.as_ref()?;
-            let axes = axes.as_ref()?;
+            let axes = solved.axes[at].as_ref()?;
             Some(JointSummary {
                 name: name.clone(),
                 parent_axis: axes.first.into(),
                 axis: axes.second.into(),
                 angular_velocity_residual_rad_s: axes.angular_velocity_residual_rad_s,
                 excitation: axes.excitation,
+                quality_deg: solved.quality_deg[at]?,
+                play_deg: solved.play_deg[at]?,
             })
         })
         .collect();
-    let summary = Summary { epochs: epochs.len(), joints };
+    let warnings: Vec<String> = joints.iter().filter_map(unknown).collect();
+    if !joints.is_empty() && warnings.len() == joints.len() {
+        return Err(Error::Failed(warnings.join("\n")));
+    }
+    write(args, &segments, &solved).map_err(Error::failed)?;
+    let summary = Summary { epochs: epochs.len(), joints, warnings };
     if args.json {
         return print_json(&summary);
     }
     let mut text = format!("{} epochs\n", summary.epochs);
     for joint in &summary.joints {
         text += &format!(
-            "{}: rates agree within {:.2} rad/s\n",
-            joint.name, joint.angular_velocity_residual_rad_s
+            "{}: axis known to {:.1} degrees, sensors play by {:.1} degrees, rates agree within {:.2} rad/s\n",
+            joint.name, joint.quality_deg, joint.play_deg, joint.angular_velocity_residual_rad_s
         );
     }
+    for warning in &summary.warnings {
+        text += &format!("warning: {warning}\n");
+    }
     print(&text)
+}
+
+/// Why nothing behind a joint is written, where it is not.
+fn unknown(joint: &JointSummary) -> Option<String> {
+    let JointSummary { name, quality_deg, play_deg, .. } = joint;
+    if *quality_deg > GOOD_DEG {
+        return Some(format!(
+            "joint `{name}`: its axis is known to {quality_deg:.0} degrees only, and its angle could be anything: record a minute in which \
+             it bends while the whole chain turns, so that the axis does not stay level (limit {GOOD_DEG:.0} degrees)"
+        ));
+    }
+    (*play_deg > LOOSE_DEG).then(|| {
+        format!(
+            "joint `{name}`: its two sensors turn against each other by {play_deg:.0} degrees about other axes than one (limit \
+             {LOOSE_DEG:.0}): it is no hinge, or they sit on other segments than the stage file says"
+        )
+    })
 }
 
 /// The stage's custom skeleton, which must be a tree of hinges.
@@ -103,25 +134,33 @@ fn hinges(body: &Body) -> Result<Vec<ChainSegment>, Error> {
     Ok(segments)
 }
 
+/// Writes a row per epoch; cells of what is not known are empty: the angle of a hinge whose axis does not show or that is none, and how segments behind it
+/// are turned.
 fn write(args: &Solve, segments: &[ChainSegment], solved: &Solved) -> Result<(), TableError> {
     let mut columns = vec!["t".to_owned()];
     for segment in segments {
         columns.extend(["qw", "qx", "qy", "qz"].map(|part| format!("{}_{part}", segment.name)));
     }
-    let joints: Vec<usize> = (0..segments.len()).filter(|index| segments[*index].hinge.is_some()).collect();
-    for index in &joints {
-        if let Some((_, joint)) = &segments[*index].hinge {
-            columns.push(format!("{joint}_flexion_deg"));
-        }
+    for (_, joint) in segments.iter().filter_map(|segment| segment.hinge.as_ref()) {
+        columns.extend(["flexion_deg", "flexion_sigma_deg"].map(|part| format!("{joint}_{part}")));
+    }
+    let below = |of: Option<f64>, limit| of.is_none_or(|of_deg| of_deg <= limit);
+    let is_good =
+        |at: usize| below(solved.quality_deg[at], GOOD_DEG) && below(solved.play_deg[at], LOOSE_DEG);
+    let mut is_known: Vec<bool> = Vec::with_capacity(segments.len());
+    for (at, segment) in segments.iter().enumerate() {
+        let is_known_above = segment.hinge.as_ref().is_none_or(|(parent, _)| is_known[*parent]);
+        is_known.push(is_known_above && is_good(at));
     }
     let mut table = TableWriter::create(&args.output, &columns)?;
     for pose in &solved.poses {
         table.number(pose.t_s)?;
-        for q in &pose.orientations {
-            table.vector(Some(orientation_to_wxyz(q)))?;
+        for (q, is_known) in pose.orientations.iter().zip(&is_known) {
+            table.vector(is_known.then(|| orientation_to_wxyz(q)))?;
         }
-        for index in &joints {
-            table.number(pose.flexion_rad[*index].to_degrees())?;
+        for at in (0..segments.len()).filter(|at| segments[*at].hinge.is_some()) {
+            let angle_rad = [pose.flexion_rad[at], pose.sigma_rad[at]];
+            table.vector(is_good(at).then(|| angle_rad.map(f64::to_degrees)))?;
         }
         table.end_row()?;
     }

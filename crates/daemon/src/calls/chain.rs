@@ -12,14 +12,9 @@ use super::super::observers::ChainSource;
 use super::super::server::Reply;
 use super::Calls;
 use super::guided::{self, Guided};
-use posed_fusion::chain::Guide;
-use posed_fusion::chain::calibrate;
-use posed_fusion::chain::{ChainSegment, Epoch};
+use posed_fusion::chain::{ChainSegment, Epoch, GOOD_DEG, Guide, calibrate};
 use posed_stage::input::{Model, SensorIndex};
 use posed_stage::layout::ChainLayout;
-
-/// Axes are used that are known to so much, degrees.
-const GOOD_DEG: f64 = 5.0;
 
 impl Calls {
     /// Begins a calibration of the chain.

@@ -21,6 +21,10 @@ pub(super) const BLOCK_S: f64 = 1.0;
 pub(super) const DRIFT: f64 = 0.3 * std::f64::consts::PI / 180.0;
 /// Least noise of a block's mean direction of the axis, rad.
 pub(super) const LEAST_SIGMA: f64 = 0.15 * std::f64::consts::PI / 180.0;
+/// Variance of a heading between two sensors of which nothing is known, rad².
+pub(super) const UNKNOWN_RAD2: f64 = 3.3;
+/// Error of tilts of calibrated sensors, rad.
+pub(super) const TILT_RAD: f64 = 0.005;
 /// How often axes and headings are improved in turn, at most.
 const ROUNDS: usize = 200;
 
@@ -40,6 +44,11 @@ pub(super) struct Joint {
     pub(super) axes: [Vector3<f64>; 2],
     /// Turn of the level frame behind the hinge into the one before it, at each sample, rad.
     pub(super) heading_rad: Vec<f64>,
+    /// Its variance, were the axes known, rad².
+    pub(super) heading_rad2: Vec<f64>,
+    /// Variance of how the sensors play against each other about each direction, at each sample, rad²: how far the axis, seen from both, differs
+    /// within a block.
+    pub(super) play_rad2: Vec<f64>,
 }
 
 /// Improves a guess of the axes; `steps_s` is the time since the sample before, s.
@@ -71,7 +80,13 @@ pub(super) fn solve(
             break;
         }
     }
-    Joint { axes, heading_rad: at_samples(&blocks, &headings, steps_s) }
+    let (seen, stiffness) = seen(&blocks, &axes, &weights);
+    Joint {
+        axes,
+        heading_rad: at_samples(&blocks, &headings, steps_s),
+        heading_rad2: at_samples(&blocks, &variances(&seen, &stiffness), steps_s),
+        play_rad2: at_samples(&blocks, &misfits(&blocks, &axes, &headings), steps_s),
+    }
 }
 
 impl Block {
@@ -136,18 +151,21 @@ fn noise(blocks: &[Block], axes: &[Vector3<f64>; 2]) -> f64 {
     median(&mut squares) / 0.455 + LEAST_SIGMA * LEAST_SIGMA
 }
 
-/// Weight of each block: one in which the sensors play, or do not agree at all, counts less.
-fn weigh(blocks: &[Block], axes: &[Vector3<f64>; 2], headings: &[f64], weights: &mut [f64]) {
-    for ((block, heading), weight) in blocks.iter().zip(headings).zip(weights.iter_mut()) {
+/// Half the mean squared angle between the axes as both sensors see them, of each block, rad².
+fn misfits(blocks: &[Block], axes: &[Vector3<f64>; 2], headings: &[f64]) -> Vec<f64> {
+    let of = |(block, heading): (&Block, &f64)| {
         let [level, quarter, upright] = block.agreement(axes);
-        // Half the mean squared angle between the axes.
-        *weight = (1.0 - (level * libm::cos(*heading) + quarter * libm::sin(*heading) + upright)).max(0.0);
-    }
-    let mut misfits = weights.to_vec();
-    let typical = median(&mut misfits).max(1e-12);
-    for weight in weights {
-        *weight = 2.0 / (1.0 + *weight / typical);
-    }
+        (1.0 - (level * libm::cos(*heading) + quarter * libm::sin(*heading) + upright)).max(0.0)
+    };
+    blocks.iter().zip(headings).map(of).collect()
+}
+
+/// Weight of each block: one in which the sensors play, or do not agree at all, counts less.
+fn weigh(blocks: &[Block], axes: &[Vector3<f64>; 2], headings: &[f64], weights: &mut Vec<f64>) {
+    let misfits = misfits(blocks, axes, headings);
+    let typical = median(&mut misfits.clone()).max(1e-12);
+    weights.clear();
+    weights.extend(misfits.iter().map(|misfit| 2.0 / (1.0 + misfit / typical)));
 }
 
 fn median(values: &mut [f64]) -> f64 {
@@ -155,11 +173,10 @@ fn median(values: &mut [f64]) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// The most probable headings of the blocks, rad, unwrapped; from those of the round before, if there was one.
-fn walk(blocks: &[Block], axes: &[Vector3<f64>; 2], weights: &[f64], held: Option<&Vec<f64>>) -> Vec<f64> {
+/// What is known of the headings: measured heading and its information of each block, rad and rad⁻²; and the stiffness between two, rad⁻².
+fn seen(blocks: &[Block], axes: &[Vector3<f64>; 2], weights: &[f64]) -> (Vec<(f64, f64)>, Vec<f64>) {
     let variance = noise(blocks, axes);
-    // Heading and information of each block.
-    let seen: Vec<(f64, f64)> = blocks
+    let seen = blocks
         .iter()
         .zip(weights)
         .map(|(block, weight)| {
@@ -167,13 +184,36 @@ fn walk(blocks: &[Block], axes: &[Vector3<f64>; 2], weights: &[f64], held: Optio
             (libm::atan2(quarter, level), weight * libm::hypot(quarter, level) / variance)
         })
         .collect();
-    let stiffness: Vec<f64> =
-        blocks.windows(2).map(|pair| 1.0 / (DRIFT * DRIFT * (pair[1].t_s - pair[0].t_s).max(1e-3))).collect();
+    let between = |pair: &[Block]| 1.0 / (DRIFT * DRIFT * (pair[1].t_s - pair[0].t_s).max(1e-3));
+    (seen, blocks.windows(2).map(between).collect())
+}
+
+/// The most probable headings of the blocks, rad, unwrapped; from those of the round before, if there was one.
+fn walk(blocks: &[Block], axes: &[Vector3<f64>; 2], weights: &[f64], held: Option<&Vec<f64>>) -> Vec<f64> {
+    let (seen, stiffness) = seen(blocks, axes, weights);
     let mut headings = held.cloned().unwrap_or_else(|| follow(&seen, &stiffness));
     for _ in 0..if held.is_some() { 2 } else { 10 } {
         smooth(&mut headings, &seen, &stiffness);
     }
     headings
+}
+
+/// Variances of the smoothed headings, rad²: what is known from both ends meets in each block.
+fn variances(seen: &[(f64, f64)], stiffness: &[f64]) -> Vec<f64> {
+    let through = |information: f64, stiffness: f64| information * stiffness / (information + stiffness);
+    let mut behind = vec![0.0; seen.len()];
+    for k in (1..seen.len()).rev() {
+        behind[k - 1] = through(behind[k] + seen[k].1, stiffness[k - 1]);
+    }
+    let mut before = 0.0;
+    let mut variances = Vec::with_capacity(seen.len());
+    for (k, (_, known)) in seen.iter().enumerate() {
+        variances.push((before + known + behind[k]).recip().min(UNKNOWN_RAD2));
+        if k < stiffness.len() {
+            before = through(before + known, stiffness[k]);
+        }
+    }
+    variances
 }
 
 /// A first guess: a filter that follows what is seen, forward.
@@ -254,6 +294,14 @@ pub(super) fn angle_rad(
     let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading_rad);
     let q = to_z * (before.inverse() * heading * behind) * from_z;
     wrapped_rad(2.0 * libm::atan2(q.k, q.w))
+}
+
+/// Standard deviation of an angle, rad, where the axis' part along the vertical is `upright`: as far as it stands upright an error of the
+/// heading turns about it; the sensors play about the axis as they do across it.
+pub(super) fn sigma_rad(upright: f64, heading_rad2: f64, quality_rad: f64, play_rad2: f64) -> f64 {
+    let variance =
+        upright * upright * heading_rad2 + quality_rad.powi(2) + play_rad2 + 2.0 * TILT_RAD.powi(2);
+    variance.sqrt().min(std::f64::consts::PI)
 }
 
 /// Turns an axis to z.

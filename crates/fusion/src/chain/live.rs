@@ -12,7 +12,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
-use super::joint::{BLOCK_S, DRIFT, LEAST_SIGMA};
+use super::joint::{BLOCK_S, DRIFT, LEAST_SIGMA, TILT_RAD, UNKNOWN_RAD2, sigma_rad};
 use crate::ahrs::{Ahrs, ImuSample, Params};
 use posed_geometry::{orientation_from_wxyz, wrapped_rad};
 
@@ -22,15 +22,11 @@ const NOISE_S: f64 = 10.0;
 const FIRST_NOISE: f64 = 0.05;
 /// An axis this near to upright gives no information about the heading: product of its level parts.
 const LEAST_LEVEL: f64 = 0.05;
-/// Error of tilts of calibrated sensors, rad.
-const TILT_RAD: f64 = 0.005;
 /// After a gap this long a sensor may have been turned, s; the last angular velocity goes on for so long at most.
 const AWAY_S: f64 = 0.5;
 const AHEAD_S: f64 = 0.1;
 /// What a first sample stands for, s.
 const FIRST_S: f64 = 0.01;
-/// Heading between two sensors of which nothing is known (variance), rad².
-const UNKNOWN_RAD2: f64 = 3.3;
 
 /// What a calibration found of a chain.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Plain)]
@@ -135,6 +131,9 @@ struct Hinge {
     variance: f64,
     /// Mean squared difference of the axis' heights, rad².
     noise: f64,
+    /// The same over what was seen so far, for as long at most, s: how the sensors play.
+    play: f64,
+    played_s: f64,
     seen_s: Option<f64>,
 }
 
@@ -161,6 +160,8 @@ impl LiveChain {
                         rotation_rad: 0.0,
                         variance: UNKNOWN_RAD2,
                         noise: FIRST_NOISE * FIRST_NOISE,
+                        play: 0.0,
+                        played_s: 0.0,
                         seen_s: None,
                     })
                 }
@@ -226,14 +227,11 @@ impl LiveChain {
         let parent = self.links[hinge.parent].orientation(t_s)?;
         let relative = parent.inverse() * orientation;
         let twist = 2.0 * libm::atan2(relative.imag().dot(&hinge.axis), relative.w);
-        // Error of the heading turns about the axis as far as it stands upright.
         let upright = (orientation * hinge.axis).z;
-        let variance =
-            upright * upright * hinge.variance + hinge.quality_rad.powi(2) + 2.0 * TILT_RAD.powi(2);
         Some(LivePose {
             orientation,
             flexion_rad: wrapped_rad(twist - hinge.zero_rad),
-            sigma_rad: variance.sqrt().min(std::f64::consts::PI),
+            sigma_rad: sigma_rad(upright, hinge.variance, hinge.quality_rad, hinge.play),
         })
     }
 
@@ -269,7 +267,10 @@ impl Hinge {
         self.variance = (self.variance + DRIFT * DRIFT * dt_s).min(UNKNOWN_RAD2);
         let (u, v) = (before * self.axes[0], behind * self.axes[1]);
         let keep = libm::exp(-dt_s / NOISE_S);
-        self.noise = keep * self.noise + (1.0 - keep) * (u.z - v.z).powi(2);
+        let squared = (u.z - v.z).powi(2);
+        self.noise = keep * self.noise + (1.0 - keep) * squared;
+        self.played_s = (self.played_s + dt_s).min(NOISE_S);
+        self.play += (dt_s / self.played_s).min(1.0) * (squared - self.play);
         let level = u.xy().norm() * v.xy().norm();
         if level < LEAST_LEVEL {
             return;

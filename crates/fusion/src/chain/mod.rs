@@ -10,6 +10,7 @@ mod calibrate;
 mod guide;
 mod joint;
 mod live;
+mod quality;
 #[cfg(test)]
 mod tests;
 
@@ -55,15 +56,27 @@ pub struct ChainPose {
     pub orientations: Vec<UnitQuaternion<f64>>,
     /// Flexion of the hinge above, rad from -pi to pi, one per segment; 0 for the root.
     pub flexion_rad: Vec<f64>,
+    /// Its standard deviation, rad, one per segment; 0 for the root.
+    pub sigma_rad: Vec<f64>,
 }
 
-/// A solved chain. Nothing in it is a covariance: accuracy is measured in `docs/body.md`, Chains of hinges, and
-/// [`calibrate::calibrate`] gives how far two halves of the movement agree.
+/// Axes are used that are known to so much, degrees.
+pub const GOOD_DEG: f64 = 5.0;
+/// Sensors that play more than this against each other have no hinge between them, degrees.
+pub const LOOSE_DEG: f64 = 10.0;
+
+/// A solved chain; its accuracy is measured in `docs/body.md`, Chains of hinges.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solved {
     /// The hinge above each segment: its axis in the parent's (first) and the segment's own sensor (second); `None` for a
     /// root.
     pub axes: Vec<Option<HingeAxes>>,
+    /// How well the recording shows the axes of the hinge above each segment, degrees: half of how far those of its two halves lie apart,
+    /// and 90 where it fits several (`docs/methods/chain.md`); `None` for a root. Angles of a hinge above [`GOOD_DEG`] may be anything.
+    pub quality_deg: Vec<Option<f64>>,
+    /// How far the two sensors of the hinge above each segment play against each other about each direction, root mean square, degrees: soft
+    /// tissue and straps, or above [`LOOSE_DEG`] a joint that is no hinge; `None` for a root.
+    pub play_deg: Vec<Option<f64>>,
     /// How each sensor sits: segment to sensor, from the first posture.
     pub mounts: Vec<UnitQuaternion<f64>>,
     /// One per epoch.
@@ -131,7 +144,29 @@ pub fn solve(segments: &[ChainSegment], epochs: &[Epoch]) -> Result<Solved, Chai
             poses.iter_mut().for_each(|pose| pose.flexion_rad[index] *= -1.0);
         }
     }
-    Ok(Solved { axes, mounts, poses })
+    let play_deg = |motion: &Motion| {
+        let mean_rad2 = motion.play_rad2.iter().sum::<f64>() / motion.play_rad2.len().max(1) as f64;
+        mean_rad2.sqrt().to_degrees()
+    };
+    let play_deg = motions.iter().map(|motion| motion.as_ref().map(play_deg)).collect();
+    let mut solved = Solved { axes, quality_deg: Vec::new(), play_deg, mounts, poses };
+    solved.quality_deg = quality::quality_deg(segments, epochs, &solved);
+    state_sigmas(segments, &motions, &mut solved);
+    Ok(solved)
+}
+
+/// How far each angle may be off.
+fn state_sigmas(segments: &[ChainSegment], motions: &[Option<Motion>], solved: &mut Solved) {
+    for (k, pose) in solved.poses.iter_mut().enumerate() {
+        let sigma_rad = |at: usize| {
+            let ((parent, _), motion) = segments[at].hinge.as_ref().zip(motions[at].as_ref())?;
+            let axis = solved.mounts[*parent].inverse() * solved.axes[at].as_ref()?.first;
+            let quality_rad = solved.quality_deg[at]?.to_radians();
+            let upright = (pose.orientations[*parent] * axis).z;
+            Some(joint::sigma_rad(upright, motion.heading_rad2[k], quality_rad, motion.play_rad2[k]))
+        };
+        pose.sigma_rad = (0..segments.len()).map(|at| sigma_rad(at).unwrap_or(0.0)).collect();
+    }
 }
 
 /// Time since the epoch before, s; the first as long as the mean.
@@ -159,6 +194,9 @@ struct Motion {
     angle_rad: Vec<f64>,
     /// Turn of the level frame behind the hinge into the one before it, rad.
     heading_rad: Vec<f64>,
+    /// Its variance, and that of the sensors' play, rad².
+    heading_rad2: Vec<f64>,
+    play_rad2: Vec<f64>,
 }
 
 /// Improves the axes with the orientations, and returns the hinge's motion.
@@ -175,7 +213,8 @@ fn refine(
     let angles = before.iter().zip(behind).zip(&joint.heading_rad);
     let angle_rad = angles.map(|((a, b), heading)| joint::angle_rad(&joint.axes, *heading, a, b)).collect();
     let [first, second] = joint.axes;
-    (HingeAxes { first, second, ..axes }, Motion { angle_rad, heading_rad: joint.heading_rad })
+    let joint::Joint { heading_rad, heading_rad2, play_rad2, .. } = joint;
+    (HingeAxes { first, second, ..axes }, Motion { angle_rad, heading_rad, heading_rad2, play_rad2 })
 }
 
 fn find_axes(epochs: &[Epoch], parent: usize, child: usize) -> Result<HingeAxes, Refused> {
@@ -244,6 +283,7 @@ fn poses(
                 motion.as_ref().map_or(0.0, |motion| wrapped_rad(motion.angle_rad[k] - zero))
             })
             .collect(),
+        sigma_rad: Vec::new(),
     };
     let poses = (0..epochs.len()).map(pose).collect();
     (mounts, poses)

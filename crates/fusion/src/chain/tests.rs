@@ -116,6 +116,14 @@ fn soft_straps_do_not_spoil_the_axis() {
             squares.map(|(pose, truth)| (pose.flexion_rad[joint + 1] - truth[joint]).powi(2)).sum();
         let rms = (sum / truth.len() as f64).sqrt().to_degrees();
         assert!(rms < 3.5, "joint {joint}: {rms} degrees");
+        // What plays is said.
+        let stated: f64 = solved.poses.iter().map(|pose| pose.sigma_rad[joint + 1].powi(2)).sum();
+        let stated = (stated / truth.len() as f64).sqrt().to_degrees();
+        println!(
+            "joint {joint}: wrong by {rms:.2}, stated {stated:.2}, play {:?}",
+            solved.play_deg[joint + 1]
+        );
+        assert!((0.7..4.0).contains(&(stated / rms)), "joint {joint}: {stated} {rms}");
     }
 }
 
@@ -248,5 +256,56 @@ fn a_movement_about_the_hinge_alone_shows_no_axis() {
     match calibrate(&segments[..2], &epochs[..3000]) {
         Ok(found) => assert!(found.segments[1].hinge.unwrap().quality_deg > 5.0, "{found:?}"),
         Err(refused) => assert!(matches!(refused, ChainError::Joint { .. }), "{refused}"),
+    }
+}
+
+/// A leg that walks: thigh and shank swing about an axis that stays level, and turn with the way. Nothing shows then whether the shank bends against
+/// the thigh or goes along with it.
+#[test]
+fn a_walk_in_which_the_axis_stays_level_is_not_believed() {
+    let mounts = [Vector3::new(0.4, -0.9, 0.3), Vector3::new(-1.2, 0.5, 2.0)].map(|v| so3::exp(&v));
+    let poses = |t: f64| {
+        let phase = std::f64::consts::TAU * 0.9 * t;
+        let heading = so3::exp(&(Vector3::z() * (0.3 * t)));
+        let swing = 0.4 * libm::sin(phase);
+        let bend = 0.5 - 0.5 * libm::cos(phase + 0.7);
+        [swing, swing - bend].map(|pitch| heading * so3::exp(&(Vector3::y() * pitch)))
+    };
+    let h = 1e-3;
+    let epochs: Vec<Epoch> = (0..(60.0 * RATE_HZ) as usize)
+        .map(|k| {
+            let t_s = k as f64 / RATE_HZ;
+            let (before, now, after) = (poses(t_s - h), poses(t_s), poses(t_s + h));
+            let sample = |i: usize| ImuSample {
+                gyro_rad_s: mounts[i].inverse() * so3::log(&(before[i].inverse() * after[i])) / (2.0 * h),
+                accel_m_s2: mounts[i].inverse() * (now[i].inverse() * Vector3::z()) * GRAVITY_M_S2,
+                mag: None,
+            };
+            Epoch { t_s, samples: vec![Some(sample(0)), Some(sample(1))] }
+        })
+        .collect();
+    let (segments, ..) = recording();
+    let solved = solve(&segments[..2], &epochs).unwrap();
+    assert_eq!(solved.quality_deg, [None, Some(90.0)]);
+    assert!(solved.poses.iter().all(|pose| pose.sigma_rad[1] > 1.5));
+}
+
+/// Errors are of the size that is stated, in the median over the recording; the zero is a posture of a quarter of a second.
+#[test]
+fn angles_of_a_file_are_as_sure_as_is_said() {
+    for rotation in [0.0, -std::f64::consts::FRAC_PI_2] {
+        let (segments, epochs, truth) = recording_held(&so3::exp(&(Vector3::x() * rotation)));
+        let solved = solve(&segments, &epochs).unwrap();
+        for joint in 0..2 {
+            let quality_deg = solved.quality_deg[joint + 1].unwrap();
+            assert!(quality_deg < 3.0, "joint {joint}: {quality_deg} degrees");
+            let of = |(pose, truth): (&ChainPose, &[f64; 2])| {
+                let off_rad = pose.flexion_rad[joint + 1] - truth[joint];
+                (off_rad / pose.sigma_rad[joint + 1]).powi(2)
+            };
+            let nees = solved.poses.iter().zip(&truth).map(of).sum::<f64>() / truth.len() as f64;
+            println!("held {rotation:.1}, joint {joint}: NEES {nees:.2}, quality {quality_deg:.2}");
+            assert!(nees < 3.0, "joint {joint}: {nees}");
+        }
     }
 }

@@ -106,7 +106,8 @@ impl Tracks {
                 Some(sample) => {
                     self.seen[index] = true;
                     self.seen_field[index] |= sample.mag.is_some();
-                    _ = filter.push(&ImuSample { mag: sample.mag.filter(|_| self.magnetic), ..*sample }, dt_s);
+                    _ = filter
+                        .push(&ImuSample { mag: sample.mag.filter(|_| self.magnetic), ..*sample }, dt_s);
                 }
                 None => filter.coast(dt_s),
             }
