@@ -22,6 +22,9 @@ use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
 /// Longest wait for anything.
 const PATIENCE: Duration = Duration::from_secs(180);
 
+/// Ten pictures a second: drawn by software, sixty take a processor for every browser.
+const SLOW_SCREEN: &str = "const frame = requestAnimationFrame; self.requestAnimationFrame = (draw) => setTimeout(() => frame(draw), 90)";
+
 /// Whether the page is to be driven; says so where it is not.
 pub(crate) fn is_wanted() -> bool {
     let wanted = std::env::var_os("POSED_TEST_BROWSER").is_some();
@@ -77,6 +80,7 @@ impl Browser {
         for domain in ["Runtime.enable", "Log.enable", "Page.enable"] {
             browser.call(domain, json!({})).await;
         }
+        browser.call("Page.addScriptToEvaluateOnNewDocument", json!({"source": SLOW_SCREEN})).await;
         if let Some(script) = script {
             browser.call("Page.setBypassCSP", json!({"enabled": true})).await;
             browser.call("Page.addScriptToEvaluateOnNewDocument", json!({"source": script})).await;
