@@ -56,7 +56,7 @@ pub struct Playback {
 impl Playback {
     /// Serves `recording` at `speed` times real time (0 is a pause, infinity as fast as it goes); `replay.list` and `replay.open`
     /// speak of its folder. `listen`: `HOST:PORT` instead of the one in the recording's stage file. A recording holds no tokens: one
-    /// of a stage that has some is served on [`server::DEFAULT_LISTEN`](super::server::DEFAULT_LISTEN). VRPN, VMC and LSL are not served.
+    /// of a stage that has some is served on [`server::DEFAULT_LISTEN`](super::server::DEFAULT_LISTEN). VRPN, VMC, MVN and LSL are not served.
     ///
     /// # Errors
     /// The recording cannot be read or played, or the address does not serve; see [`PlaybackError`].

@@ -88,6 +88,8 @@ pub struct Stage {
     pub vrpn: Option<Vrpn>,
     /// Avatars that are sent the skeleton by VMC over OSC; absent: none.
     pub vmc: Option<Vmc>,
+    /// Programs that take the body as MVN's network stream; absent: none.
+    pub mvn: Option<Mvn>,
     /// Programs that read Lab Streaming Layer; absent: nothing is offered.
     pub lsl: Option<Lsl>,
     /// Hubs and other programs on other machines, by zenoh; absent: the stage stays on this one.
@@ -420,6 +422,37 @@ pub struct Vmc {
     /// Whether magnetic sensors are sent too, as trackers of their names.
     #[serde(default)]
     pub trackers: bool,
+    /// Which bones are sent.
+    #[serde(default)]
+    pub bones: VmcBones,
+}
+
+/// Bones of a Unity humanoid.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum VmcBones {
+    /// Those that every humanoid has, the spine as one.
+    #[default]
+    Required,
+    /// Chest, upper chest, neck, shoulders and toes beside them, for an avatar that has them all: a bend of the spine is shared out.
+    All,
+}
+
+/// Programs that are sent the body as MVN's real-time network stream (MXTP) by UDP.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Mvn {
+    /// Addresses that datagrams are sent to, HOST:PORT; absent: 127.0.0.1:9763.
+    pub targets: Option<Vec<String>>,
+    /// Samples per second, Hz; absent: 60.
+    #[schemars(range(min = 1.0, max = 240.0))]
+    pub rate_hz: Option<f64>,
+    /// Number of the character, for receivers that look for another than 0.
+    #[serde(default)]
+    pub character: u8,
+    /// Whether Euler angles (type 01, centimetres, y up) are sent beside quaternions, as some plug-ins need.
+    #[serde(default)]
+    pub euler: bool,
 }
 
 /// Streams of Lab Streaming Layer: poses, joint angles, events. liblsl must be installed.

@@ -65,7 +65,7 @@ impl Zenoh {
 
 impl Stage {
     /// The text of a stage file that says the same of devices, sensors and body, for other machines: without the tables `server`,
-    /// `vrpn`, `vmc`, `lsl`, `zenoh` and `recording`, and so without tokens and passwords. What `models`, `segments` and
+    /// `vrpn`, `vmc`, `mvn`, `lsl`, `zenoh` and `recording`, and so without tokens and passwords. What `models`, `segments` and
     /// `simulation` name, and the devices' ports, stay in it.
     ///
     /// # Errors
@@ -75,6 +75,7 @@ impl Stage {
             server: super::Server::default(),
             vrpn: None,
             vmc: None,
+            mvn: None,
             lsl: None,
             zenoh: None,
             recording: super::Recording::default(),

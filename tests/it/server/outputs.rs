@@ -1,4 +1,4 @@
-//! Avatars by VMC, laboratories by LSL: that they are reported, and what is said where that cannot be.
+//! Avatars by VMC, programs that read MVN's stream, laboratories by LSL: that they are reported, and what is said where that cannot be.
 
 use posed_daemon::StageClock;
 use posed_drivers::Timestamp;
@@ -74,10 +74,30 @@ async fn avatars_get_bones_and_a_word_when_there_are_none() {
 }
 
 #[tokio::test]
-async fn an_avatar_without_an_address_is_named() {
-    let stage = stage("[vmc]\ntargets = [\"no-such-host.invalid:39539\"]");
-    let error = posed_daemon::server::Server::bind(&stage, config()).err().unwrap().to_string();
-    assert!(error.contains("no-such-host.invalid") && error.contains("vmc.targets"), "{error}");
+async fn programs_get_the_body_as_mvn_sends_it() {
+    let socket = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+    let stage =
+        stage(&format!("[mvn]\ntargets = [\"{}\"]\n[body]\nheight_m = 1.8", socket.local_addr().unwrap()));
+    let server = start(&stage, config());
+    server.hub.publish(&Output::Body(&body(1000)));
+    for kind in ["12", "13", "02", "20", "25"] {
+        let mut datagram = [0; 2000];
+        let length = timeout(PATIENCE, socket.recv(&mut datagram)).await.expect("a datagram").unwrap();
+        assert_eq!(datagram[..6], *format!("MXTP{kind}").as_bytes());
+        assert_eq!(length, 24 + usize::from(u16::from_be_bytes([datagram[22], datagram[23]])));
+    }
+}
+
+#[tokio::test]
+async fn a_target_without_an_address_is_named() {
+    for table in ["vmc", "mvn"] {
+        let stage = stage(&format!("[{table}]\ntargets = [\"no-such-host.invalid:39539\"]"));
+        let error = posed_daemon::server::Server::bind(&stage, config()).err().unwrap().to_string();
+        assert!(
+            error.contains("no-such-host.invalid") && error.contains(&format!("{table}.targets")),
+            "{error}"
+        );
+    }
 }
 
 #[tokio::test]

@@ -29,6 +29,8 @@ pub(super) struct Metrics {
     pub(super) vrpn_dropped: Counter,
     pub(super) vmc_sent: Counter,
     pub(super) vmc_lost: Counter,
+    pub(super) mvn_sent: Counter,
+    pub(super) mvn_lost: Counter,
     pub(super) lsl_lost: Counter,
     refused: Family<Labels, Counter>,
     device_streaming: Family<Labels, Gauge>,
@@ -61,6 +63,10 @@ impl Metrics {
             all.register("vrpn_frames_dropped", "Frames dropped for slow VRPN clients", dropped);
             all.register("vmc_datagrams", "Datagrams sent to avatars", metrics.vmc_sent.clone());
             all.register("vmc_datagrams_lost", "Datagrams that could not be sent", metrics.vmc_lost.clone());
+            let sent = "Datagrams of MVN's network stream sent";
+            all.register("mvn_datagrams", sent, metrics.mvn_sent.clone());
+            let lost = "Datagrams of MVN's network stream that could not be sent";
+            all.register("mvn_datagrams_lost", lost, metrics.mvn_lost.clone());
             all.register(
                 "lsl_samples_lost",
                 "Samples that liblsl was too slow for",

@@ -1,4 +1,4 @@
-//! The server: websocket, page, metrics, health; Foxglove viewers, VRPN, VMC, LSL.
+//! The server: websocket, page, metrics, health; Foxglove viewers, VRPN, VMC, MVN, LSL.
 //!
 //! In: frames, events, status from the fusion thread through a [`Hub`], connections from a socket. Out: messages to
 //! clients, their [`PendingCall`]s to the daemon. Never: anything that makes the fusion thread, or one client, wait for another.
@@ -13,6 +13,7 @@
 mod access;
 mod budget;
 mod client;
+mod datagrams;
 mod directory;
 mod distributor;
 mod foxglove;
@@ -32,7 +33,6 @@ mod streams;
 pub(crate) mod testing;
 mod tls;
 mod viewer;
-mod vmc;
 mod vrpn;
 
 use std::net::SocketAddr;
@@ -84,7 +84,7 @@ pub struct Config {
     /// Numbers given out before; those of a recording when one is replayed.
     pub counters: Counters,
     /// Whether it is a recording that is served: its time is not that of the world, and programs that the stage itself may be
-    /// serving at the same time (VRPN, VMC, LSL) are not served.
+    /// serving at the same time (VRPN, VMC, MVN, LSL) are not served.
     pub replay: bool,
     /// The stage's clock; absent: times are those of nothing that goes on, and LSL gets nothing.
     pub clock: Option<StageClock>,
@@ -149,13 +149,15 @@ pub enum BindError {
         /// What the system said.
         error: std::io::Error,
     },
-    /// An avatar's address has no meaning here.
-    #[error(
-        "cannot send to {target} by VMC: {error}; write HOST:PORT into vmc.targets, like 127.0.0.1:39539"
-    )]
-    Vmc {
+    /// An address that datagrams are to be sent to has no meaning here.
+    #[error("cannot send to {target}: {error}; write HOST:PORT into {table}.targets, like {usual}")]
+    Target {
+        /// Of which table of the stage file.
+        table: &'static str,
         /// As given.
         target: String,
+        /// One as they usually are.
+        usual: &'static str,
         /// What the system said.
         error: std::io::Error,
     },
@@ -238,7 +240,7 @@ impl BindError {
             Self::Bind { error, .. } | Self::Vrpn { error, .. } => {
                 matches!(error.kind(), AddrInUse | AddrNotAvailable)
             }
-            Self::Address { .. } | Self::NeedsToken { .. } | Self::Vmc { .. } | Self::Tls(_) => false,
+            Self::Address { .. } | Self::NeedsToken { .. } | Self::Target { .. } | Self::Tls(_) => false,
         }
     }
 }
@@ -290,17 +292,11 @@ impl Server {
             }
         };
         let (vrpn, vrpn_outlet) = vrpn.unzip();
-        let vmc = match stage.vmc.as_ref().filter(|_| !config.replay) {
-            None => None,
-            Some(settings) => {
-                let opened = vmc::Outlet::open(stage, settings, Arc::clone(&metrics));
-                Some(opened.map_err(|(target, error)| BindError::Vmc { target, error })?)
-            }
-        };
+        let datagrams = if config.replay { Vec::new() } else { datagrams::Outlet::open(stage, &metrics)? };
         let lsl = stage.lsl.as_ref().zip(config.clock.filter(|_| !config.replay));
         let lsl = lsl.map(|(settings, clock)| Streaming::start(stage, settings, clock, Arc::clone(&metrics)));
         let distributor = Distributor::new(Arc::clone(&shared.names), limits, metrics, config.counters);
-        let outlets = Outlets { distributor, viewers, vrpn: vrpn_outlet, vmc, lsl, feed };
+        let outlets = Outlets { distributor, viewers, vrpn: vrpn_outlet, datagrams, lsl, feed };
         let hub_in = hub.clone();
         let server = Self { listener, shared, outlets, vrpn, hub: hub_in, commands };
         Ok((server, hub, calls))
@@ -419,7 +415,7 @@ struct Outlets {
     distributor: Distributor,
     viewers: Viewers,
     vrpn: Option<Outlet>,
-    vmc: Option<vmc::Outlet>,
+    datagrams: Vec<datagrams::Outlet>,
     lsl: Option<Streaming>,
     /// Programs on other machines.
     feed: Option<Box<dyn Feed>>,
@@ -433,7 +429,7 @@ async fn distribute(
     shared: Arc<Shared>,
 ) {
     use std::sync::atomic::Ordering;
-    let Outlets { distributor, viewers, vrpn, vmc, lsl, feed } = &mut outlets;
+    let Outlets { distributor, viewers, vrpn, datagrams, lsl, feed } = &mut outlets;
     loop {
         while let Some(mut item) = hub.take() {
             let _ = fault_points::pass("distributor");
@@ -451,9 +447,7 @@ async fn distribute(
             if let Some(outlet) = vrpn {
                 outlet.publish(&item);
             }
-            if let Some(outlet) = vmc {
-                outlet.publish(&item);
-            }
+            datagrams.iter_mut().for_each(|outlet| outlet.publish(&item));
             if let (Some(streaming), Some(stamp)) = (&lsl, &stamp) {
                 streaming.publish(&item, stamp, &shared.names);
             }

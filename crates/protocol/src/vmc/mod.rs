@@ -17,11 +17,12 @@ use posed_drivers::Timestamp;
 use rosc::{OscBundle, OscMessage, OscPacket, OscTime, OscType, encoder};
 
 use self::bones::Bone;
+use crate::rate::Rate;
 use posed_fusion::body::Skeleton;
 use posed_geometry::isometry;
-use posed_stage::Stage;
 use posed_stage::layout::skeleton_of;
 use posed_stage::output::{Body, Estimate};
+use posed_stage::{Stage, VmcBones};
 
 /// Port on which programs listen by custom.
 pub const DEFAULT_TARGET: &str = "127.0.0.1:39539";
@@ -41,14 +42,15 @@ const NOW: OscTime = OscTime { seconds: 0, fractional: 1 };
 #[derive(Clone, Debug)]
 pub struct Publisher {
     skeleton: Option<Skeleton>,
+    /// Which bones a body has.
+    bones: fn(&Body, &Skeleton, UnitQuaternion<f64>, f64) -> Vec<Bone>,
     /// From the room to what is sent: the rotation that the stage file asks for.
     heading: UnitQuaternion<f64>,
     /// Lengths of the avatar over those of the person.
     scale: f64,
     /// Names of the sensors that are sent as trackers.
     trackers: Vec<(usize, String)>,
-    period_s: f64,
-    due_s: f64,
+    rate: Rate,
     /// When the latest body came, or the first frame that waited for one, s.
     body_s: Option<f64>,
     /// The newest good sensors, in the room.
@@ -63,11 +65,14 @@ impl Publisher {
         let trackers = if settings.trackers { stage.magnetic_indices() } else { Vec::new() };
         Self {
             skeleton: stage.body.as_ref().and_then(skeleton_of),
+            bones: match settings.bones {
+                VmcBones::Required => bones::of,
+                VmcBones::All => bones::all,
+            },
             heading: Rotation3::from_axis_angle(&Vector3::z_axis(), settings.heading_deg.to_radians()).into(),
             scale,
             trackers: trackers.into_iter().map(|at| (at, stage.sensors[at].name.clone())).collect(),
-            period_s: 1.0 / settings.rate_hz.unwrap_or(DEFAULT_RATE_HZ),
-            due_s: f64::NEG_INFINITY,
+            rate: Rate::new(settings.rate_hz.unwrap_or(DEFAULT_RATE_HZ)),
             body_s: None,
             sensors: Vec::new(),
         }
@@ -77,11 +82,11 @@ impl Publisher {
     /// Unity's axes, m, and the trackers of the newest frame. Where no bone is shown the avatar counts as not loaded.
     pub fn body(&mut self, body: &Body, emit: impl FnMut(&[u8])) {
         self.body_s = Some(body.t_valid.as_secs_f64());
-        if !self.is_due(body.t_valid) {
+        if !self.rate.is_due(body.t_valid) {
             return;
         }
         let bones = match &self.skeleton {
-            Some(skeleton) => bones::of(body, skeleton, self.heading, self.scale),
+            Some(skeleton) => (self.bones)(body, skeleton, self.heading, self.scale),
             None => Vec::new(),
         };
         self.emit(body.t_valid, &bones, emit);
@@ -99,7 +104,7 @@ impl Publisher {
         }
         let t_s = estimate.t_valid.as_secs_f64();
         let no_body = t_s - *self.body_s.get_or_insert(t_s) > BODY_S;
-        if (self.skeleton.is_none() || no_body) && self.is_due(estimate.t_valid) {
+        if (self.skeleton.is_none() || no_body) && self.rate.is_due(estimate.t_valid) {
             self.emit(estimate.t_valid, &[], emit);
         }
     }
@@ -107,8 +112,7 @@ impl Publisher {
     /// To be called now and then with the stage time, s: if what is due has not come for more than 1 s, forgets the trackers and
     /// gives `emit` a datagram that reports no bones.
     pub fn look(&mut self, t_s: f64, emit: impl FnMut(&[u8])) {
-        // Somewhat more than the largest distance of two frames.
-        if t_s > self.due_s + 1.0 {
+        if self.rate.is_overdue(t_s) {
             self.sensors.clear();
             self.emit(Timestamp::from_secs_f64(t_s), &[], emit);
         }
@@ -116,20 +120,9 @@ impl Publisher {
 
     /// Lets time start anew, as after a jump in a replay, and forgets the trackers.
     pub fn rewind(&mut self) {
-        self.due_s = f64::NEG_INFINITY;
+        self.rate.rewind();
         self.body_s = None;
         self.sensors.clear();
-    }
-
-    /// At the stated rate on average, however the frames fall.
-    fn is_due(&mut self, t: Timestamp) -> bool {
-        let t_s = t.as_nanos() as f64 * 1e-9;
-        if t_s < self.due_s {
-            return false;
-        }
-        let next_s = self.due_s + self.period_s;
-        self.due_s = if next_s > t_s { next_s } else { t_s + self.period_s };
-        true
     }
 
     fn emit(&self, t: Timestamp, bones: &[Bone], mut emit: impl FnMut(&[u8])) {

@@ -6,7 +6,7 @@ use nalgebra::Quaternion;
 use rosc::decoder;
 
 use super::*;
-use posed_fusion::body::{ANGLES, BodySegment, Heading, SEGMENTS};
+use posed_fusion::body::{ANGLES, BodySegment, Heading, SEGMENTS, WholeSegment, whole};
 use posed_geometry::orientation_to_wxyz;
 use posed_stage::output::{
     PoseEstimate, PositionSource, SegmentEstimate, SegmentState, SensorEstimate, SensorState,
@@ -169,6 +169,79 @@ fn hanging_arms_are_a_quarter_down_and_everything_else_is_at_rest() {
         (shoulder - Vector3::new(-0.129 * 1.8, 0.288 * 1.8, 0.0)).norm() < 1e-6,
         "left is -x: {shoulder}"
     );
+}
+
+/// Where a receiver finds a bone that hangs on these, and how it is turned.
+fn chained(messages: &BTreeMap<String, Vec<OscType>>, names: &[&str]) -> Transform {
+    let bones = names.iter().map(|name| transform(&messages[&format!("/VMC/Ext/Bone/Pos {name}")]));
+    bones.fold((Vector3::zeros(), UnitQuaternion::identity()), |(at, turned), (offset, rotation)| {
+        (at + turned * offset, turned * rotation)
+    })
+}
+
+#[test]
+fn an_avatar_that_has_all_bones_holds_chest_head_and_limbs_as_one_of_fewer_does() {
+    let (fewer, settings) = stage("");
+    let (all, all_settings) = stage("bones = \"all\"");
+    let trunk = ["Hips", "Spine", "Chest", "UpperChest"];
+    for seed in 0..10 {
+        let orientations = std::array::from_fn(|at| {
+            let at = at as f64 + 20.0 * f64::from(seed);
+            let turn = UnitQuaternion::from_euler_angles(
+                libm::sin(at) * 0.6,
+                libm::cos(at * 1.7) * 0.6,
+                libm::sin(at * 2.3),
+            );
+            facing_y()[0] * turn
+        });
+        let body = body(&orientations);
+        let few = received(&mut Publisher::new(&fewer, &settings), &body);
+        let many = received(&mut Publisher::new(&all, &all_settings), &body);
+        assert_eq!(many.len(), few.len() + 7, "chest, upper chest, neck, shoulders, toes");
+        let origins_m = Skeleton::from_height(1.8).whole_origins_m(
+            &whole(&orientations),
+            body.segments[BodySegment::Pelvis.index()].position_m.unwrap().into(),
+        );
+        for (more, less, segment) in [
+            (vec![], vec![], WholeSegment::T8),
+            (vec!["Neck", "Head"], vec!["Head"], WholeSegment::Head),
+            (
+                vec!["LeftShoulder", "LeftUpperArm", "LeftLowerArm", "LeftHand"],
+                vec!["LeftUpperArm", "LeftLowerArm", "LeftHand"],
+                WholeSegment::HandL,
+            ),
+        ] {
+            let (at, turned) = chained(&many, &[&trunk[..], &more].concat());
+            let (_, expected) = chained(&few, &[&["Hips", "Spine"][..], &less].concat());
+            assert!(turned.angle_to(&expected) < 1e-5, "{segment:?}");
+            let origin_m = origins_m[segment.index()];
+            assert!(
+                (at - Vector3::new(origin_m.x, origin_m.z, origin_m.y)).norm() < 1e-5,
+                "{segment:?}: {at} for {origin_m}"
+            );
+        }
+        let (toes_m, _) =
+            chained(&many, &["Hips", "RightUpperLeg", "RightLowerLeg", "RightFoot", "RightToes"]);
+        let origin_m = origins_m[WholeSegment::ToeR.index()];
+        assert!((toes_m - Vector3::new(origin_m.x, origin_m.z, origin_m.y)).norm() < 1e-5);
+    }
+    // Nobody bends: every bone is as it rests, arms but hanging.
+    let many = received(&mut Publisher::new(&all, &all_settings), &body(&facing_y()));
+    for name in
+        ["Spine", "Chest", "UpperChest", "Neck", "LeftShoulder", "RightShoulder", "LeftToes", "RightToes"]
+    {
+        assert!(transform(&many[&format!("/VMC/Ext/Bone/Pos {name}")]).1.angle() < 1e-6, "{name}");
+    }
+    // Without a chest there is no spine; without a head's sensor, no neck.
+    let mut body = body(&facing_y());
+    body.segments[BodySegment::Head.index()].sensor = None;
+    let many = received(&mut Publisher::new(&all, &all_settings), &body);
+    assert!(
+        many.contains_key("/VMC/Ext/Bone/Pos UpperChest") && !many.contains_key("/VMC/Ext/Bone/Pos Neck")
+    );
+    body.segments[BodySegment::Torso.index()].state = SegmentState::Missing;
+    let many = received(&mut Publisher::new(&all, &all_settings), &body);
+    assert!(!many.contains_key("/VMC/Ext/Bone/Pos Spine") && many.contains_key("/VMC/Ext/Bone/Pos LeftToes"));
 }
 
 #[test]

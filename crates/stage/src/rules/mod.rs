@@ -35,8 +35,10 @@ pub(super) fn check(document: &Spanned<DeTable<'_>>, folder: Option<&Path>, note
     if let Some(vrpn) = root.item("vrpn") {
         server::check_vrpn(&vrpn, notes);
     }
-    if let Some(vmc) = root.item("vmc") {
-        server::check_vmc(&vmc, notes);
+    for (table, usual) in [("vmc", "192.168.1.20:39539"), ("mvn", "192.168.1.20:9763")] {
+        if let Some(table) = root.item(table) {
+            server::check_targets(&table, usual, notes);
+        }
     }
     if let Some(zenoh) = root.item("zenoh") {
         zenoh::check(&zenoh, folder, notes);

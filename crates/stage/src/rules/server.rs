@@ -146,16 +146,16 @@ pub(super) fn check_vrpn(vrpn: &Item<'_, '_>, notes: &mut Notes<'_>) {
     }
 }
 
-/// Where avatars are. Names are looked up when the daemon starts.
-pub(super) fn check_vmc(vmc: &Item<'_, '_>, notes: &mut Notes<'_>) {
-    for target in vmc.get("targets").and_then(|list| list.get_ref().as_array()).into_iter().flatten() {
+/// Where datagrams go, `usual` as an example. Names are looked up when the daemon starts.
+pub(super) fn check_targets(table: &Item<'_, '_>, usual: &str, notes: &mut Notes<'_>) {
+    for target in table.get("targets").and_then(|list| list.get_ref().as_array()).into_iter().flatten() {
         let Some(text) = target.get_ref().as_str() else { continue };
         let is_target = text.rsplit_once(':').is_some_and(|(host, port)| {
             !host.is_empty() && !host.contains(['/', ' ']) && port.parse::<u16>().is_ok_and(|port| port > 0)
         });
         if !is_target {
             let message = format!("`{text}` is no address to send to");
-            let fix = "write \"HOST:PORT\", such as \"192.168.1.20:39539\"";
+            let fix = format!("write \"HOST:PORT\", such as \"{usual}\"");
             notes.problem(&target.span(), "targets", message, fix);
         }
     }

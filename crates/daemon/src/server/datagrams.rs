@@ -1,0 +1,105 @@
+//! Datagrams to the addresses of the stage file: avatars by VMC, programs that read MVN's network stream.
+//!
+//! In: frames, bodies and statuses from the distributor's task. Out: datagrams, sent or lost; nobody is waited for and nobody answers.
+
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, ToSocketAddrs, UdpSocket};
+use std::sync::Arc;
+
+use prometheus_client::metrics::counter::Counter;
+
+use super::BindError;
+use super::hub::Item;
+use super::metrics::Metrics;
+use posed_protocol::{mvn, vmc};
+use posed_stage::Stage;
+
+/// What makes datagrams of what is published.
+enum Publisher {
+    Vmc(vmc::Publisher),
+    Mvn(mvn::Publisher),
+}
+
+/// Where frames go in.
+pub(super) struct Outlet {
+    publisher: Publisher,
+    /// Each with the socket of its family.
+    targets: Vec<(SocketAddr, Arc<UdpSocket>)>,
+    sent: Counter,
+    lost: Counter,
+}
+
+impl Outlet {
+    /// All that the stage file asks for: targets resolved, sockets opened. On failure: which target, and why.
+    pub(super) fn open(stage: &Stage, metrics: &Metrics) -> Result<Vec<Self>, BindError> {
+        let mut outlets = Vec::new();
+        if let Some(settings) = &stage.vmc {
+            let targets = targets("vmc", settings.targets.as_deref(), vmc::DEFAULT_TARGET)?;
+            let publisher = Publisher::Vmc(vmc::Publisher::new(stage, settings));
+            let (sent, lost) = (metrics.vmc_sent.clone(), metrics.vmc_lost.clone());
+            outlets.push(Self { publisher, targets, sent, lost });
+        }
+        if let Some(settings) = &stage.mvn {
+            let targets = targets("mvn", settings.targets.as_deref(), mvn::DEFAULT_TARGET)?;
+            let publisher = Publisher::Mvn(mvn::Publisher::new(stage, settings));
+            let (sent, lost) = (metrics.mvn_sent.clone(), metrics.mvn_lost.clone());
+            outlets.push(Self { publisher, targets, sent, lost });
+        }
+        Ok(outlets)
+    }
+
+    /// Sends an item, if it is something to them.
+    pub(super) fn publish(&mut self, item: &Item) {
+        let Self { publisher, targets, sent, lost } = self;
+        let send = |datagram: &[u8]| {
+            for (address, socket) in &*targets {
+                match socket.send_to(datagram, address) {
+                    Ok(_) => sent.inc(),
+                    // No room in the system's queue, or no way there: the next frame says all of it again.
+                    Err(_) => lost.inc(),
+                };
+            }
+        };
+        match (publisher, item) {
+            (Publisher::Vmc(publisher), Item::Body(body)) => publisher.body(body, send),
+            (Publisher::Vmc(publisher), Item::Estimate(estimate)) => publisher.frame(estimate, send),
+            (Publisher::Vmc(publisher), Item::Status(status)) => publisher.look(status.t_s, send),
+            (Publisher::Vmc(publisher), Item::Rewind) => publisher.rewind(),
+            (Publisher::Mvn(publisher), Item::Body(body)) => publisher.body(body, send),
+            (Publisher::Mvn(publisher), Item::Rewind) => publisher.rewind(),
+            _ => {}
+        }
+    }
+}
+
+/// Where a table's datagrams go.
+fn targets(
+    table: &'static str,
+    names: Option<&[String]>,
+    usual: &'static str,
+) -> Result<Vec<(SocketAddr, Arc<UdpSocket>)>, BindError> {
+    let alone = [usual.to_owned()];
+    let mut targets: Vec<(SocketAddr, Arc<UdpSocket>)> = Vec::new();
+    for name in names.unwrap_or(&alone) {
+        let failed = |error| BindError::Target { table, target: name.clone(), usual, error };
+        let resolved = name.to_socket_addrs().map_err(failed)?.next();
+        let address = resolved.ok_or_else(|| failed(std::io::Error::other("the name has no address")))?;
+        let same = targets.iter().find(|(other, _)| other.is_ipv4() == address.is_ipv4());
+        let socket = match same {
+            Some((_, socket)) => Arc::clone(socket),
+            None => Arc::new(socket(address).map_err(failed)?),
+        };
+        targets.push((address, socket));
+    }
+    Ok(targets)
+}
+
+/// A socket that never waits.
+fn socket(target: SocketAddr) -> std::io::Result<UdpSocket> {
+    let any: SocketAddr = match target {
+        SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
+        SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
+    };
+    let socket = UdpSocket::bind(any)?;
+    socket.set_nonblocking(true)?;
+    Ok(socket)
+}
