@@ -37,6 +37,8 @@ mod request;
 pub(crate) mod round;
 pub mod schema;
 mod sensors;
+#[cfg(test)]
+mod testing;
 mod topic;
 mod typescript;
 pub mod vmc;
@@ -56,6 +58,7 @@ pub use message::{
 pub use names::Names;
 pub use packed::{unpack, unpacker};
 pub use publisher::{Counters, Publisher, PublisherState, Stamp};
+pub use rate::Rate;
 #[doc(hidden)]
 pub use request::REQUEST_EXAMPLES;
 pub use request::{

@@ -1,37 +1,36 @@
-//! A rate that frames are thinned to.
+//! A rate that a stream is thinned to.
 
-use posed_drivers::Timestamp;
-
-/// When the next frame is due.
-#[derive(Clone, Debug)]
-pub(crate) struct Rate {
-    period_s: f64,
-    due_s: f64,
+/// When the next of a stream is due. Times are in any unit, the same for all.
+#[derive(Clone, Copy, Debug)]
+pub struct Rate {
+    period: f64,
+    due: f64,
 }
 
 impl Rate {
-    pub(crate) fn new(rate_hz: f64) -> Self {
-        Self { period_s: 1.0 / rate_hz, due_s: f64::NEG_INFINITY }
+    /// One in each period, the first at any time.
+    pub fn every(period: f64) -> Self {
+        Self { period, due: f64::NEG_INFINITY }
     }
 
-    /// Whether a frame of this time is to be sent: at the rate on average, however the frames fall.
-    pub(crate) fn is_due(&mut self, t: Timestamp) -> bool {
-        let t_s = t.as_secs_f64();
-        if t_s < self.due_s {
+    /// Whether what is of this time may go out: at the stated rate on average, however it falls.
+    pub fn is_due(&mut self, t: f64) -> bool {
+        if t < self.due {
             return false;
         }
-        let next_s = self.due_s + self.period_s;
-        self.due_s = if next_s > t_s { next_s } else { t_s + self.period_s };
+        // The next one is due a period after this one was, unless the stream had paused longer than that.
+        let next = self.due + self.period;
+        self.due = if next > t { next } else { t + self.period };
         true
     }
 
-    /// Whether what was due has not come for more than a second, somewhat more than the largest distance of two frames.
-    pub(crate) fn is_overdue(&self, t_s: f64) -> bool {
-        t_s > self.due_s + 1.0
+    /// Whether what was due has not come for longer than `patience`.
+    pub fn is_overdue(&self, t: f64, patience: f64) -> bool {
+        t > self.due + patience
     }
 
     /// Lets time start anew.
-    pub(crate) fn rewind(&mut self) {
-        self.due_s = f64::NEG_INFINITY;
+    pub fn rewind(&mut self) {
+        self.due = f64::NEG_INFINITY;
     }
 }

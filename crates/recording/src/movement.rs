@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use super::{Item, ReadError, Take};
 use crate::animation::{Animation, AnimationError, Format};
-use posed_fusion::body::{BodyEstimate, BodySegment, Skeleton};
+use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton, completed};
 use posed_geometry::orientation_from_wxyz;
 use posed_protocol::Figure;
 use posed_stage::Stage;
@@ -67,18 +67,18 @@ pub fn animation(
 }
 
 fn push(animation: &mut Animation, skeleton: &Skeleton, figure: &Figure) {
-    let mut estimate = BodyEstimate::default();
+    let mut known = [None; SEGMENTS];
     let mut seen: Option<(BodySegment, Vector3<f64>)> = None;
     for entry in &figure.segments {
         let Some(segment) = BodySegment::named(&entry.name) else { continue };
-        estimate.orientations[segment.index()] = entry.orientation_wxyz.and_then(orientation_from_wxyz);
+        known[segment.index()] = entry.orientation_wxyz.and_then(orientation_from_wxyz);
         if let Some(position_m) = entry.position_m
             && (seen.is_none() || segment == BodySegment::Pelvis)
         {
             seen = Some((segment, position_m.into()));
         }
     }
-    let all = estimate.completed();
+    let all = completed(&known);
     let from_hips = skeleton.origins_m(&all, Vector3::zeros());
     let pelvis_m = seen.map_or_else(
         || skeleton.standing_m(&all),

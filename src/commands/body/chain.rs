@@ -71,7 +71,8 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
     if !joints.is_empty() && warnings.len() == joints.len() {
         return Err(Error::Failed(warnings.join("\n")));
     }
-    write(args, &segments, &solved).map_err(Error::failed)?;
+    let is_unknown = |joint: &str| joints.iter().any(|of| of.name == joint && unknown(of).is_some());
+    write(args, &segments, &solved, is_unknown).map_err(Error::failed)?;
     let summary = Summary { epochs: epochs.len(), joints, warnings };
     if args.json {
         return print_json(&summary);
@@ -136,7 +137,12 @@ fn hinges(body: &Body) -> Result<Vec<ChainSegment>, Error> {
 
 /// Writes a row per epoch; cells of what is not known are empty: the angle of a hinge whose axis does not show or that is none, and how segments behind it
 /// are turned.
-fn write(args: &Solve, segments: &[ChainSegment], solved: &Solved) -> Result<(), TableError> {
+fn write(
+    args: &Solve,
+    segments: &[ChainSegment],
+    solved: &Solved,
+    is_unknown: impl Fn(&str) -> bool,
+) -> Result<(), TableError> {
     let mut columns = vec!["t".to_owned()];
     for segment in segments {
         columns.extend(["qw", "qx", "qy", "qz"].map(|part| format!("{}_{part}", segment.name)));
@@ -144,23 +150,23 @@ fn write(args: &Solve, segments: &[ChainSegment], solved: &Solved) -> Result<(),
     for (_, joint) in segments.iter().filter_map(|segment| segment.hinge.as_ref()) {
         columns.extend(["flexion_deg", "flexion_sigma_deg"].map(|part| format!("{joint}_{part}")));
     }
-    let below = |of: Option<f64>, limit| of.is_none_or(|of_deg| of_deg <= limit);
-    let is_good =
-        |at: usize| below(solved.quality_deg[at], GOOD_DEG) && below(solved.play_deg[at], LOOSE_DEG);
-    let mut is_known: Vec<bool> = Vec::with_capacity(segments.len());
-    for (at, segment) in segments.iter().enumerate() {
-        let is_known_above = segment.hinge.as_ref().is_none_or(|(parent, _)| is_known[*parent]);
-        is_known.push(is_known_above && is_good(at));
+    let good: Vec<bool> = segments
+        .iter()
+        .map(|segment| segment.hinge.as_ref().is_none_or(|(_, joint)| !is_unknown(joint)))
+        .collect();
+    let mut known: Vec<bool> = Vec::with_capacity(segments.len());
+    for (segment, good) in segments.iter().zip(&good) {
+        known.push(*good && segment.hinge.as_ref().is_none_or(|(parent, _)| known[*parent]));
     }
     let mut table = TableWriter::create(&args.output, &columns)?;
     for pose in &solved.poses {
         table.number(pose.t_s)?;
-        for (q, is_known) in pose.orientations.iter().zip(&is_known) {
+        for (q, is_known) in pose.orientations.iter().zip(&known) {
             table.vector(is_known.then(|| orientation_to_wxyz(q)))?;
         }
         for at in (0..segments.len()).filter(|at| segments[*at].hinge.is_some()) {
             let angle_rad = [pose.flexion_rad[at], pose.sigma_rad[at]];
-            table.vector(is_good(at).then(|| angle_rad.map(f64::to_degrees)))?;
+            table.vector(good[at].then(|| angle_rad.map(f64::to_degrees)))?;
         }
         table.end_row()?;
     }

@@ -31,20 +31,17 @@ pub(super) struct Outlet {
 impl Outlet {
     /// All that the stage file asks for: targets resolved, sockets opened. On failure: which target, and why.
     pub(super) fn open(stage: &Stage, metrics: &Metrics) -> Result<Vec<Self>, BindError> {
-        let mut outlets = Vec::new();
-        if let Some(settings) = &stage.vmc {
-            let targets = targets("vmc", settings.targets.as_deref(), vmc::DEFAULT_TARGET)?;
+        let vmc = stage.vmc.as_ref().map(|settings| {
+            let targets = targets("vmc", &settings.targets, vmc::DEFAULT_TARGET)?;
             let publisher = Publisher::Vmc(vmc::Publisher::new(stage, settings));
-            let (sent, lost) = (metrics.vmc_sent.clone(), metrics.vmc_lost.clone());
-            outlets.push(Self { publisher, targets, sent, lost });
-        }
-        if let Some(settings) = &stage.mvn {
-            let targets = targets("mvn", settings.targets.as_deref(), mvn::DEFAULT_TARGET)?;
+            Ok(Self { publisher, targets, sent: metrics.vmc_sent.clone(), lost: metrics.vmc_lost.clone() })
+        });
+        let mvn = stage.mvn.as_ref().map(|settings| {
+            let targets = targets("mvn", &settings.targets, mvn::DEFAULT_TARGET)?;
             let publisher = Publisher::Mvn(mvn::Publisher::new(stage, settings));
-            let (sent, lost) = (metrics.mvn_sent.clone(), metrics.mvn_lost.clone());
-            outlets.push(Self { publisher, targets, sent, lost });
-        }
-        Ok(outlets)
+            Ok(Self { publisher, targets, sent: metrics.mvn_sent.clone(), lost: metrics.mvn_lost.clone() })
+        });
+        vmc.into_iter().chain(mvn).collect()
     }
 
     /// Sends an item, if it is something to them.
@@ -74,12 +71,12 @@ impl Outlet {
 /// Where a table's datagrams go.
 fn targets(
     table: &'static str,
-    names: Option<&[String]>,
+    names: &Option<Vec<String>>,
     usual: &'static str,
 ) -> Result<Vec<(SocketAddr, Arc<UdpSocket>)>, BindError> {
     let alone = [usual.to_owned()];
     let mut targets: Vec<(SocketAddr, Arc<UdpSocket>)> = Vec::new();
-    for name in names.unwrap_or(&alone) {
+    for name in names.as_deref().unwrap_or(&alone) {
         let failed = |error| BindError::Target { table, target: name.clone(), usual, error };
         let resolved = name.to_socket_addrs().map_err(failed)?.next();
         let address = resolved.ok_or_else(|| failed(std::io::Error::other("the name has no address")))?;

@@ -12,7 +12,7 @@ use super::metrics::Metrics;
 use super::outbox::{Outbox, Outgoing};
 use posed_protocol::{
     Answer, Counters, DropPolicy, Encoding, ErrorReply, Feed, Field, Fields, Names, OkReply, Payload,
-    Problem, RequestId, Resumed, ServerMessage, Stamp, Topic, View, encode,
+    Problem, Rate, RequestId, Resumed, ServerMessage, Stamp, Topic, View, encode,
 };
 use posed_stage::Limits;
 
@@ -73,8 +73,8 @@ struct Client {
 #[derive(Clone, Copy)]
 struct Subscription {
     view: usize,
-    period_us: Option<f64>,
-    due_us: f64,
+    /// In microseconds; absent: all go out.
+    rate: Option<Rate>,
     policy: DropPolicy,
     /// Newest event when the subscription began: later ones came by themselves.
     live_after: u64,
@@ -204,7 +204,7 @@ impl Distributor {
         for client in &mut self.clients {
             client.sent_us = [None; Topic::COUNT];
             for subscription in client.subscriptions.iter_mut().flatten() {
-                subscription.due_us = f64::NEG_INFINITY;
+                subscription.rate.iter_mut().for_each(Rate::rewind);
             }
         }
     }
@@ -225,8 +225,8 @@ impl Distributor {
                 if topics.is_empty() {
                     return Err(("bad_request", "subscribe to at least one topic".into()));
                 }
-                let period_us = match max_rate_hz {
-                    Some(rate) if rate.is_finite() && rate > 0.0 => Some(1e6 / rate),
+                let rate = match max_rate_hz {
+                    Some(rate) if rate.is_finite() && rate > 0.0 => Some(Rate::every(1e6 / rate)),
                     Some(_) => return Err(("bad_request", "max_rate_hz must be above 0".into())),
                     None => None,
                 };
@@ -248,13 +248,8 @@ impl Distributor {
                 }
                 self.reply_ok(at, id, None);
                 for (topic, view) in begun {
-                    let subscription = Subscription {
-                        view,
-                        period_us,
-                        due_us: f64::NEG_INFINITY,
-                        policy: drop.unwrap_or_default(),
-                        live_after,
-                    };
+                    let subscription =
+                        Subscription { view, rate, policy: drop.unwrap_or_default(), live_after };
                     let replaced = self.clients[at].subscriptions[topic.index()].replace(subscription);
                     if let Some(old) = replaced {
                         self.views[old.view].users -= 1;
@@ -429,17 +424,9 @@ impl Client {
 }
 
 impl Subscription {
-    /// Whether a message of this time may go out; at the stated rate on average, however the frames fall.
+    /// Whether a message of this time may go out.
     fn is_due(&mut self, t_us: i64) -> bool {
-        let Some(period_us) = self.period_us else { return true };
-        let t_us = t_us as f64;
-        if t_us < self.due_us {
-            return false;
-        }
-        // The next one is due a period after this one was, unless the stream had paused longer than that.
-        let next_us = self.due_us + period_us;
-        self.due_us = if next_us > t_us { next_us } else { t_us + period_us };
-        true
+        self.rate.as_mut().is_none_or(|rate| rate.is_due(t_us as f64))
     }
 }
 

@@ -49,10 +49,10 @@ pub use inverse::{Figure, Follower, Tracked};
 pub use limbs::{elbow, knee};
 pub use places::{Misplaced, Places, Trackers};
 pub use posture::orientations;
-pub use skeleton::{BodySegment, Limb, SEGMENTS, Skeleton, upright};
+pub use skeleton::{BodySegment, Limb, SEGMENTS, Skeleton, completed, upright};
 pub use spread::{AngleSpread, independent};
 pub use travel::Travel;
-pub use whole::{WHOLE, WholeSegment, whole, whole_t_pose};
+pub use whole::{WHOLE, WholeSegment, t_pose, whole, whole_t_pose};
 
 use super::ahrs::{Ahrs, CALIBRATED_HEADING_RAD, CALIBRATED_TILT_RAD, ImuSample, Params};
 use super::faults::Cause;
@@ -170,18 +170,9 @@ impl BodyEstimate {
         self.travel.map_or_else(|| skeleton.standing_m(&self.completed()), |travel| travel.pelvis_m)
     }
 
-    /// Orientations, segment to room, with the missing ones as straight continuations of their parents (the pelvis of the
-    /// torso); [`upright`] where nothing is known.
+    /// Orientations of all segments, as [`completed`] has them.
     pub fn completed(&self) -> [UnitQuaternion<f64>; SEGMENTS] {
-        let known = |segment: BodySegment| self.orientations[segment.index()];
-        let mut all = [upright(); SEGMENTS];
-        for segment in Skeleton::PARENTS_FIRST {
-            all[segment.index()] = known(segment).unwrap_or_else(|| match segment.parent() {
-                Some(parent) => all[parent.index()],
-                None => known(BodySegment::Torso).unwrap_or_else(upright),
-            });
-        }
-        all
+        completed(&self.orientations)
     }
 }
 

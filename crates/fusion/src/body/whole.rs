@@ -10,6 +10,7 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
+use super::calibrate::posture;
 use super::skeleton::{BodySegment, SEGMENTS, Skeleton, upright};
 use posed_geometry::so3::{exp, log};
 
@@ -296,10 +297,13 @@ fn toes(foot: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
 }
 
 /// The T-pose that programs for animation begin with: segment to room of a body that looks along the room's x, arms level to the sides, palms down.
+pub fn t_pose(segment: BodySegment) -> UnitQuaternion<f64> {
+    upright() * posture(segment, true)
+}
+
+/// [`t_pose`] of the 23.
 pub fn whole_t_pose(segment: WholeSegment) -> UnitQuaternion<f64> {
-    let arm = segment.measured_as().is_some_and(|segment| BodySegment::ARMS.contains(&segment));
-    let raised_rad = if arm { -segment.side() * std::f64::consts::FRAC_PI_2 } else { 0.0 };
-    upright() * exp(&(Vector3::x() * raised_rad))
+    segment.measured_as().map_or_else(upright, t_pose)
 }
 
 #[cfg(test)]

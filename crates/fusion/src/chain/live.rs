@@ -94,7 +94,7 @@ pub struct LivePose {
     pub orientation: UnitQuaternion<f64>,
     /// Angle of the hinge above, rad in (-pi, pi]; 0 for the root.
     pub flexion_rad: f64,
-    /// Standard deviation of that angle, rad, at most pi: heading, axis and systematic tilt, not the joint's play; of the
+    /// Standard deviation of that angle, rad, at most pi: heading, axis, systematic tilt and play of the sensors; of the
     /// root's tilt.
     pub sigma_rad: f64,
 }

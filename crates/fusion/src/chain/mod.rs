@@ -145,7 +145,8 @@ pub fn solve(segments: &[ChainSegment], epochs: &[Epoch]) -> Result<Solved, Chai
         }
     }
     let play_deg = |motion: &Motion| {
-        let mean_rad2 = motion.play_rad2.iter().sum::<f64>() / motion.play_rad2.len().max(1) as f64;
+        let play_rad2 = &motion.joint.play_rad2;
+        let mean_rad2 = play_rad2.iter().sum::<f64>() / play_rad2.len().max(1) as f64;
         mean_rad2.sqrt().to_degrees()
     };
     let play_deg = motions.iter().map(|motion| motion.as_ref().map(play_deg)).collect();
@@ -159,11 +160,12 @@ pub fn solve(segments: &[ChainSegment], epochs: &[Epoch]) -> Result<Solved, Chai
 fn state_sigmas(segments: &[ChainSegment], motions: &[Option<Motion>], solved: &mut Solved) {
     for (k, pose) in solved.poses.iter_mut().enumerate() {
         let sigma_rad = |at: usize| {
-            let ((parent, _), motion) = segments[at].hinge.as_ref().zip(motions[at].as_ref())?;
+            let ((parent, _), Motion { joint, .. }) =
+                segments[at].hinge.as_ref().zip(motions[at].as_ref())?;
             let axis = solved.mounts[*parent].inverse() * solved.axes[at].as_ref()?.first;
             let quality_rad = solved.quality_deg[at]?.to_radians();
             let upright = (pose.orientations[*parent] * axis).z;
-            Some(joint::sigma_rad(upright, motion.heading_rad2[k], quality_rad, motion.play_rad2[k]))
+            Some(joint::sigma_rad(upright, joint.heading_rad2[k], quality_rad, joint.play_rad2[k]))
         };
         pose.sigma_rad = (0..segments.len()).map(|at| sigma_rad(at).unwrap_or(0.0)).collect();
     }
@@ -188,15 +190,11 @@ fn level_orientations(epochs: &[Epoch], steps_s: &[f64], index: usize) -> Vec<Un
     smoothed(&params, &samples)
 }
 
-/// Angle and heading over time of one hinge.
+/// One hinge over time.
 struct Motion {
     /// Angle, rad; its zero depends on the mounting.
     angle_rad: Vec<f64>,
-    /// Turn of the level frame behind the hinge into the one before it, rad.
-    heading_rad: Vec<f64>,
-    /// Its variance, and that of the sensors' play, rad².
-    heading_rad2: Vec<f64>,
-    play_rad2: Vec<f64>,
+    joint: joint::Joint,
 }
 
 /// Improves the axes with the orientations, and returns the hinge's motion.
@@ -213,8 +211,7 @@ fn refine(
     let angles = before.iter().zip(behind).zip(&joint.heading_rad);
     let angle_rad = angles.map(|((a, b), heading)| joint::angle_rad(&joint.axes, *heading, a, b)).collect();
     let [first, second] = joint.axes;
-    let joint::Joint { heading_rad, heading_rad2, play_rad2, .. } = joint;
-    (HingeAxes { first, second, ..axes }, Motion { angle_rad, heading_rad, heading_rad2, play_rad2 })
+    (HingeAxes { first, second, ..axes }, Motion { angle_rad, joint })
 }
 
 fn find_axes(epochs: &[Epoch], parent: usize, child: usize) -> Result<HingeAxes, Refused> {
@@ -260,7 +257,7 @@ fn poses(
         let mut headings: Vec<f64> = Vec::with_capacity(segments.len());
         for (segment, motion) in segments.iter().zip(motions) {
             headings.push(match (&segment.hinge, motion) {
-                (Some((parent, _)), Some(motion)) => headings[*parent] + motion.heading_rad[k],
+                (Some((parent, _)), Some(motion)) => headings[*parent] + motion.joint.heading_rad[k],
                 _ => 0.0,
             });
         }

@@ -62,7 +62,7 @@ fn rotates_about_two(epochs: &[Epoch], index: usize) -> bool {
     variances[1] > SECOND * SECOND * variances[2]
 }
 
-/// Half of how far the axes of both halves lie apart, degrees, in the sensor where that is more: about the error of the solved.
+/// Half of how far the axes of both halves lie apart, degrees, in the sensor where that is more: about the error of the whole.
 fn apart_deg([early, late]: &[[Vector3<f64>; 2]; 2]) -> f64 {
     let apart = early[0].angle(&late[0]).max(early[1].angle(&late[1]));
     (0.5 * apart.to_degrees()).min(UNKNOWN_DEG)

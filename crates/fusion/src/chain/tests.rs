@@ -290,7 +290,7 @@ fn a_walk_in_which_the_axis_stays_level_is_not_believed() {
     assert!(solved.poses.iter().all(|pose| pose.sigma_rad[1] > 1.5));
 }
 
-/// Errors are of the size that is stated, in the median over the recording; the zero is a posture of a quarter of a second.
+/// Errors are of the size that is stated, root mean square over the recording; the zero is a posture of a quarter of a second.
 #[test]
 fn angles_of_a_file_are_as_sure_as_is_said() {
     for rotation in [0.0, -std::f64::consts::FRAC_PI_2] {

@@ -19,7 +19,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use self::wire::Datagram;
 use crate::rate::Rate;
-use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton, WHOLE, WholeSegment, whole, whole_t_pose};
+use posed_fusion::body::{BodySegment, Skeleton, WHOLE, WholeSegment, completed, whole, whole_t_pose};
 use posed_geometry::orientation_from_wxyz;
 use posed_stage::Stage;
 use posed_stage::layout::skeleton_of;
@@ -54,7 +54,7 @@ impl Publisher {
             stage: stage.name.clone(),
             character: settings.character,
             euler: settings.euler,
-            rate: Rate::new(settings.rate_hz.unwrap_or(DEFAULT_RATE_HZ)),
+            rate: Rate::every(1.0 / settings.rate_hz.unwrap_or(DEFAULT_RATE_HZ)),
             sample: 0,
             began_s: None,
             described_s: f64::NEG_INFINITY,
@@ -65,10 +65,10 @@ impl Publisher {
     pub fn body(&mut self, body: &Body, mut emit: impl FnMut(&[u8])) {
         let Some(skeleton) = self.skeleton else { return };
         let Some(figure) = Figure::of(body, &skeleton) else { return };
-        if !self.rate.is_due(body.t_valid) {
+        let t_s = body.t_valid.as_secs_f64();
+        if !self.rate.is_due(t_s) {
             return;
         }
-        let t_s = body.t_valid.as_secs_f64();
         let began_s = *self.began_s.get_or_insert(t_s);
         let head = wire::Head {
             sample: self.sample,
@@ -133,14 +133,9 @@ impl Figure {
             let of = body.segments.get(segment.index()).filter(|of| of.state.is_shown())?;
             orientation_from_wxyz(of.orientation_wxyz?)
         };
-        let pelvis = shown(BodySegment::Pelvis)?;
+        shown(BodySegment::Pelvis)?;
         let pelvis_m = body.segments[BodySegment::Pelvis.index()].position_m?;
-        let mut orientations = [pelvis; SEGMENTS];
-        for segment in Skeleton::PARENTS_FIRST {
-            let above = segment.parent().map_or(pelvis, |parent| orientations[parent.index()]);
-            orientations[segment.index()] = shown(segment).unwrap_or(above);
-        }
-        let orientations = whole(&orientations);
+        let orientations = whole(&completed(&BodySegment::ALL.map(shown)));
         Some(Self { orientations, origins_m: skeleton.whole_origins_m(&orientations, pelvis_m.into()) })
     }
 

@@ -1,10 +1,9 @@
 //! Datagrams as a receiver reads them, and bytes of the specification.
 
 use super::*;
-use posed_drivers::Timestamp;
-use posed_fusion::body::{ANGLES, Heading, upright};
-use posed_geometry::orientation_to_wxyz;
-use posed_stage::output::{PositionSource, SegmentEstimate, SegmentState};
+use crate::testing::body;
+use posed_fusion::body::{SEGMENTS, t_pose, upright};
+use posed_stage::output::SegmentState;
 
 fn stage(more: &str) -> (Stage, posed_stage::Mvn) {
     let text = format!(
@@ -21,38 +20,8 @@ fn publisher(more: &str) -> Publisher {
     Publisher::new(&stage, &settings)
 }
 
-const HIPS_M: [f64; 3] = [0.4, -0.3, 0.95];
-
-fn body(t_ms: i64, orientations: &[UnitQuaternion<f64>; SEGMENTS]) -> Body {
-    let segments = orientations
-        .iter()
-        .map(|q| SegmentEstimate {
-            state: SegmentState::Ok,
-            sensor: Some(0),
-            position_m: Some(HIPS_M),
-            orientation_wxyz: Some(orientation_to_wxyz(q)),
-            sigma_rad: 0.01,
-            fault: None,
-        })
-        .collect();
-    Body {
-        t_valid: Timestamp::from_nanos(t_ms * 1_000_000),
-        heading: Heading::Field,
-        heading_sigma_rad: Some(0.02),
-        position_source: PositionSource::Feet,
-        contacts: None,
-        segments,
-        angles_rad: [None; ANGLES],
-        spread: Default::default(),
-    }
-}
-
-/// The body of [`whole_t_pose`].
-fn t_pose() -> [UnitQuaternion<f64>; SEGMENTS] {
-    let pose = |segment| {
-        WholeSegment::ALL.into_iter().find(|at| at.measured_as() == Some(segment)).map(whole_t_pose)
-    };
-    BodySegment::ALL.map(|segment| pose(segment).unwrap())
+fn t_posed() -> [UnitQuaternion<f64>; SEGMENTS] {
+    BodySegment::ALL.map(t_pose)
 }
 
 fn sent(publisher: &mut Publisher, body: &Body) -> Vec<Vec<u8>> {
@@ -117,7 +86,7 @@ fn bytes_are_those_of_the_specification() {
 #[test]
 fn a_t_pose_has_no_rotation_and_hanging_arms_are_a_quarter_down() {
     let mut publisher = publisher("euler = true\ncharacter = 3");
-    let all = sent(&mut publisher, &body(1500, &t_pose()));
+    let all = sent(&mut publisher, &body(1500, &t_posed()));
     let kinds: Vec<&[u8]> = all.iter().map(|datagram| &datagram[4..6]).collect();
     assert_eq!(kinds, [b"12", b"13", b"02", b"01", b"20", b"25"]);
     assert!(
@@ -199,14 +168,14 @@ fn joints_are_put_together_again_and_angles_are_those_of_both_sides() {
 #[test]
 fn what_is_not_shown_goes_with_its_parent_and_without_hips_nothing_is_sent() {
     let mut publisher = publisher("rate_hz = 50.0");
-    let mut shown = body(0, &t_pose());
+    let mut shown = body(0, &t_posed());
     shown.segments[BodySegment::ForearmL.index()].state = SegmentState::Missing;
     assert_eq!(items(of_type(&sent(&mut publisher, &shown), "02"), 1, 7).len(), 23);
-    let count = (1..=100).filter(|k| !sent(&mut publisher, &body(10 * k, &t_pose())).is_empty()).count();
+    let count = (1..=100).filter(|k| !sent(&mut publisher, &body(10 * k, &t_posed())).is_empty()).count();
     assert!((49..=51).contains(&count), "{count} in a second");
-    shown = body(2000, &t_pose());
+    shown = body(2000, &t_posed());
     shown.segments[BodySegment::Pelvis.index()].state = SegmentState::Missing;
     assert!(sent(&mut publisher, &shown).is_empty());
     publisher.rewind();
-    assert_eq!(sent(&mut publisher, &body(0, &t_pose())).len(), 5);
+    assert_eq!(sent(&mut publisher, &body(0, &t_posed())).len(), 5);
 }

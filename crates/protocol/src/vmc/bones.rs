@@ -2,10 +2,11 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use nalgebra::{Isometry3, Point3, Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
 use super::{unity_rotation, unity_vector};
-use posed_fusion::body::{BodySegment, Skeleton, WHOLE, WholeSegment, whole, whole_t_pose};
+use posed_fusion::body::{BodySegment, Skeleton, WHOLE, WholeSegment};
+use posed_fusion::body::{completed, t_pose, whole, whole_t_pose};
 use posed_geometry::isometry;
 use posed_stage::output::Body;
 
@@ -40,14 +41,10 @@ pub(super) fn name(segment: BodySegment) -> &'static str {
     }
 }
 
-/// Segment to room in the T-pose of a figure that looks along the room's y, which is Unity's z.
-fn rest(segment: BodySegment) -> UnitQuaternion<f64> {
-    // Forward (x) is the room's y, up (y) its z, right (z) its x.
-    let upright = UnitQuaternion::new_unchecked(Quaternion::new(0.5, 0.5, 0.5, 0.5));
-    let arm = BodySegment::ARMS.contains(&segment);
-    // Raised sideways, about the axis that points forward.
-    let raised_rad = if arm { -segment.side() * FRAC_PI_2 } else { 0.0 };
-    upright * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), raised_rad)
+/// A segment's rotation since the T-pose `rest` of a body that looks along the room's x, for a figure that rests looking along its y, which is Unity's z.
+fn since(rest: UnitQuaternion<f64>, orientation: UnitQuaternion<f64>) -> UnitQuaternion<f64> {
+    let to_y = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), FRAC_PI_2);
+    orientation * (to_y * rest).inverse()
 }
 
 /// A segment's place in the room, where a sensor shows it.
@@ -95,7 +92,7 @@ pub(super) fn of(body: &Body, skeleton: &Skeleton, heading: UnitQuaternion<f64>,
         let parent = segment.parent().map(|parent| placed[parent.index()]);
         let Some(pose) = shown(body, segment).filter(|_| parent != Some(None)) else { continue };
         let joint_m = (pose * Point3::from(skeleton.joint_in_segment_m(segment))).coords;
-        let rotation = pose.rotation * rest(segment).inverse();
+        let rotation = since(t_pose(segment), pose.rotation);
         placed[segment.index()] = Some(figure.add(name(segment), parent.flatten(), joint_m, rotation));
     }
     figure.bones
@@ -126,14 +123,8 @@ fn bone_of(segment: WholeSegment) -> Option<(&'static str, [BodySegment; 2])> {
 pub(super) fn all(body: &Body, skeleton: &Skeleton, heading: UnitQuaternion<f64>, scale: f64) -> Vec<Bone> {
     let poses = BodySegment::ALL.map(|segment| shown(body, segment));
     let Some(pelvis) = poses[BodySegment::Pelvis.index()] else { return Vec::new() };
-    let mut orientations = [pelvis.rotation; BodySegment::ALL.len()];
-    for segment in Skeleton::PARENTS_FIRST {
-        let above = segment.parent().map_or(pelvis.rotation, |parent| orientations[parent.index()]);
-        orientations[segment.index()] = poses[segment.index()].map_or(above, |pose| pose.rotation);
-    }
-    let orientations = whole(&orientations);
+    let orientations = whole(&completed(&poses.map(|pose| Some(pose?.rotation))));
     let joints_m = skeleton.whole_origins_m(&orientations, pelvis.translation.vector);
-    let ahead = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), FRAC_PI_2);
     let mut figure = Figure { heading, scale, bones: Vec::with_capacity(WHOLE) };
     let mut placed = [None; WHOLE];
     for segment in WholeSegment::ALL {
@@ -144,9 +135,9 @@ pub(super) fn all(body: &Body, skeleton: &Skeleton, heading: UnitQuaternion<f64>
         if needed.iter().any(|needed| poses[needed.index()].is_none()) || parent == Some(None) {
             continue;
         }
-        let rotation = orientations[segment.index()] * (ahead * whole_t_pose(segment)).inverse();
-        let joint_m = joints_m[segment.index()];
-        placed[segment.index()] = Some(figure.add(name, parent.flatten(), joint_m, rotation));
+        let rotation = since(whole_t_pose(segment), orientations[segment.index()]);
+        placed[segment.index()] =
+            Some(figure.add(name, parent.flatten(), joints_m[segment.index()], rotation));
     }
     figure.bones
 }

@@ -72,7 +72,7 @@ impl Publisher {
             heading: Rotation3::from_axis_angle(&Vector3::z_axis(), settings.heading_deg.to_radians()).into(),
             scale,
             trackers: trackers.into_iter().map(|at| (at, stage.sensors[at].name.clone())).collect(),
-            rate: Rate::new(settings.rate_hz.unwrap_or(DEFAULT_RATE_HZ)),
+            rate: Rate::every(1.0 / settings.rate_hz.unwrap_or(DEFAULT_RATE_HZ)),
             body_s: None,
             sensors: Vec::new(),
         }
@@ -82,7 +82,7 @@ impl Publisher {
     /// Unity's axes, m, and the trackers of the newest frame. Where no bone is shown the avatar counts as not loaded.
     pub fn body(&mut self, body: &Body, emit: impl FnMut(&[u8])) {
         self.body_s = Some(body.t_valid.as_secs_f64());
-        if !self.rate.is_due(body.t_valid) {
+        if !self.rate.is_due(body.t_valid.as_secs_f64()) {
             return;
         }
         let bones = match &self.skeleton {
@@ -104,7 +104,7 @@ impl Publisher {
         }
         let t_s = estimate.t_valid.as_secs_f64();
         let no_body = t_s - *self.body_s.get_or_insert(t_s) > BODY_S;
-        if (self.skeleton.is_none() || no_body) && self.rate.is_due(estimate.t_valid) {
+        if (self.skeleton.is_none() || no_body) && self.rate.is_due(t_s) {
             self.emit(estimate.t_valid, &[], emit);
         }
     }
@@ -112,7 +112,8 @@ impl Publisher {
     /// To be called now and then with the stage time, s: if what is due has not come for more than 1 s, forgets the trackers and
     /// gives `emit` a datagram that reports no bones.
     pub fn look(&mut self, t_s: f64, emit: impl FnMut(&[u8])) {
-        if self.rate.is_overdue(t_s) {
+        // Somewhat more than the largest distance of two frames.
+        if self.rate.is_overdue(t_s, 1.0) {
             self.sensors.clear();
             self.emit(Timestamp::from_secs_f64(t_s), &[], emit);
         }

@@ -6,11 +6,9 @@ use nalgebra::Quaternion;
 use rosc::decoder;
 
 use super::*;
-use posed_fusion::body::{ANGLES, BodySegment, Heading, SEGMENTS, WholeSegment, whole};
-use posed_geometry::orientation_to_wxyz;
-use posed_stage::output::{
-    PoseEstimate, PositionSource, SegmentEstimate, SegmentState, SensorEstimate, SensorState,
-};
+use crate::testing;
+use posed_fusion::body::{BodySegment, SEGMENTS, WholeSegment, whole};
+use posed_stage::output::{PoseEstimate, SegmentState, SensorEstimate, SensorState};
 
 type Transform = (Vector3<f64>, UnitQuaternion<f64>);
 
@@ -24,30 +22,8 @@ fn stage(more: &str) -> (Stage, posed_stage::Vmc) {
     (stage, settings)
 }
 
-/// A body whose segments have these orientations (segment to room), its pelvis somewhere.
 fn body(orientations: &[UnitQuaternion<f64>; SEGMENTS]) -> Body {
-    let origins = Skeleton::from_height(1.8).origins_m(orientations, Vector3::new(0.4, -0.3, 0.95));
-    let segments = (0..SEGMENTS)
-        .map(|at| SegmentEstimate {
-            state: SegmentState::Ok,
-            sensor: Some(0),
-            position_m: Some(origins[at].into()),
-            orientation_wxyz: Some(orientation_to_wxyz(&orientations[at])),
-            sigma_rad: 0.01,
-            fault: None,
-        })
-        .collect();
-    let t_valid = Timestamp::from_nanos(1_500_000_000);
-    Body {
-        t_valid,
-        heading: Heading::Field,
-        heading_sigma_rad: Some(0.02),
-        position_source: PositionSource::Trackers,
-        contacts: None,
-        segments,
-        angles_rad: [None; ANGLES],
-        spread: Default::default(),
-    }
+    testing::body(1500, orientations)
 }
 
 /// Segment to room of a body that looks along the room's y: N-pose.
