@@ -101,19 +101,23 @@ export class Link {
   /** So many states a second are enough. */
   useRate(rate_hz: number): void {
     this.rate_hz = rate_hz;
+    if (this.states.length === 0) return;
     this.request({ type: "subscribe", topics: this.states, max_rate_hz: rate_hz, fields: FIELDS }).catch(ignore);
   }
 
-  /** Asks the daemon; the answer's result, or a `Refused`. */
+  /** Asks the daemon, while it connects as soon as it has; the answer's result, or a `Refused`. */
   request<R extends Request>(request: R): Promise<AnswerTo<R>> {
     return new Promise((resolve, reject) => {
-      if (this.socket?.readyState !== WebSocket.OPEN) {
+      const { socket } = this;
+      if (socket?.readyState !== WebSocket.OPEN && socket?.readyState !== WebSocket.CONNECTING) {
         reject(new Refused("lost", "not connected"));
         return;
       }
       const id = this.nextId++;
       this.waiting.set(id, { resolve: resolve as (result: unknown) => void, reject });
-      this.socket.send(JSON.stringify({ ...request, id }));
+      const send = (): void => socket.send(JSON.stringify({ ...request, id }));
+      if (socket.readyState === WebSocket.OPEN) send();
+      else socket.addEventListener("open", send, { once: true });
     });
   }
 

@@ -104,17 +104,26 @@ const CALIBRATE: [&str; 2] = ["calibrate", "prompt"];
 /// Begins what guides somebody, sees one of its steps, and waits for its end. Asked to begin again, as happens where a busy
 /// machine's records have gaps, somebody does.
 async fn guided(browser: &mut Browser, [button, prompt]: [&str; 2], step: &str, end: &str) {
-    let prompt = format!("document.getElementById('{prompt}').textContent");
-    let ended = format!("{prompt}.includes('{end}')");
     for _ in 0..5 {
         browser.click(button).await;
-        browser.until(&format!("{prompt}.startsWith('{step}')")).await;
-        browser.until(&format!("{ended} || {prompt}.includes('begin again')")).await;
-        if browser.value(&ended).await == true {
+        if carried_out(browser, [button, prompt], step, end).await {
             return;
         }
     }
     panic!("{step}: never to its end");
+}
+
+/// Sees a step of what was begun, and waits until it has ended; whether as it should.
+async fn carried_out(browser: &mut Browser, [button, prompt]: [&str; 2], step: &str, end: &str) -> bool {
+    let runs = format!("document.getElementById('{button}').disabled");
+    let prompt = format!("document.getElementById('{prompt}').textContent");
+    browser.until(&runs).await;
+    browser.until(&format!("!{runs} || {prompt}.startsWith('{step}')")).await;
+    browser.until(&format!("!{runs}")).await;
+    let said = browser.value(&prompt).await;
+    let said = said.as_str().unwrap();
+    assert!(said.contains(end) || said.contains("begin again"), "{said}");
+    said.contains(end)
 }
 
 /// The page of a stage whose body is to be calibrated.
@@ -340,8 +349,16 @@ async fn a_chain_is_calibrated_in_the_browser_and_its_hinge_drawn() {
     std::fs::write(&stage, leg::STAGE.replace("/dev/none", "auto") + LINKS).unwrap();
     write_links(&folder.path().join("links.csv"));
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
-    let mut browser = Browser::open(&format!("http://{}/#calibrate-record", posed.address)).await;
-    guided(&mut browser, CALIBRATE, "2 of 2: Bend every hinge", "axes of the chain are known").await;
+    // Whoever presses before the page is connected is heard.
+    let at_once = "const press = () => document.getElementById('calibrate').click(); \
+        if (self === top) addEventListener('DOMContentLoaded', press)";
+    let mut browser =
+        Browser::open_with(&format!("http://{}/#calibrate-record", posed.address), Some(at_once)).await;
+    browser.until("/^[12] of 2/.test(document.getElementById('prompt').textContent)").await;
+    let (step, end) = ("2 of 2: Bend every hinge", "axes of the chain are known");
+    if !carried_out(&mut browser, CALIBRATE, step, end).await {
+        guided(&mut browser, CALIBRATE, step, end).await;
+    }
     assert_eq!(browser.row("mounting", 0).await[0], "knee");
     browser.click("tab-analysis").await;
     browser.until("document.getElementById('joint-choice').value === 'knee'").await;
