@@ -7,6 +7,7 @@ mod spec;
 mod tests;
 
 use posed_drivers::flock::wire::Addressing;
+use posed_drivers::xbus::Sampling;
 use serde::{Deserialize, Serialize};
 
 pub use spec::{DeviceSpec, SensorSpec, StageSpec};
@@ -211,6 +212,8 @@ pub struct DeviceScenario {
     pub extended_range: Option<bool>,
     /// How good inertial sensors are.
     pub imu: ImuClass,
+    /// What samples of an `xbus` device are of its period.
+    pub sampling: Sampling,
     /// What answers as `xbus`; absent: an MTi where there is one sensor, else a chain.
     pub xbus: Option<Personality>,
     /// What goes wrong.
@@ -243,6 +246,7 @@ impl Default for DeviceScenario {
             addressing: None,
             extended_range: None,
             imu: ImuClass::default(),
+            sampling: Sampling::default(),
             xbus: None,
             faults: Vec::new(),
         }

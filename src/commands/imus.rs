@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use posed_fusion::ahrs::ImuSample;
+use posed_fusion::ahrs::{ImuSample, Sampling};
 use posed_fusion::body::BodySegment;
 use posed_recording::is_recording;
 use posed_recording::table::{Imu, ImuRow};
@@ -11,6 +11,40 @@ use posed_stage::output::Inertial;
 
 use super::Error;
 use super::recorded::Recorded;
+
+/// What samples of a table are of the interval since the one before; those of a recording are known.
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub(super) enum Sampled {
+    /// Means: what a unit that integrates inside sends.
+    Mean,
+    /// Values at their times.
+    Instantaneous,
+}
+
+impl From<Sampled> for Sampling {
+    fn from(sampled: Sampled) -> Self {
+        match sampled {
+            Sampled::Mean => Self::Mean,
+            Sampled::Instantaneous => Self::Instantaneous,
+        }
+    }
+}
+
+/// Moves the samples of each sensor to the middles of their intervals, where means are true.
+pub(super) fn centre(imu: &mut Imu) {
+    for sensor in 0..imu.sensors.len() {
+        let times = || imu.rows.iter().filter(|row| row.sensor == sensor).map(|row| row.t_s);
+        let mut intervals_s: Vec<f64> =
+            times().skip(1).zip(times()).map(|(t_s, before_s)| t_s - before_s).collect();
+        if intervals_s.is_empty() {
+            continue;
+        }
+        let middle = intervals_s.len() / 2;
+        let (_, interval_s, _) = intervals_s.select_nth_unstable_by(middle, f64::total_cmp);
+        let half_s = 0.5 * *interval_s;
+        imu.rows.iter_mut().filter(|row| row.sensor == sensor).for_each(|row| row.t_s -= half_s);
+    }
+}
 
 /// Reads a table, with `rate_hz` where it has no column `t`, or a recording, which also gives its stage. Of a recording's units `which` takes
 /// what they measured ([`Inertial::uncorrected`]) or the same by their intrinsics ([`Inertial::sample`]).

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use nalgebra::{UnitQuaternion, Vector3};
-use posed_fusion::ahrs::{Ahrs, ImuSample, Params};
+use posed_fusion::ahrs::{Ahrs, ImuSample, Params, Sampling};
 use posed_geometry::orientation_to_wxyz;
 use posed_recording::table::{ImuRow, TableWriter};
 use posed_stage::output::Inertial;
@@ -33,6 +33,10 @@ pub(crate) struct Args {
     /// a unit that integrates inside (Xsens) has 0.
     #[arg(long, default_value_t = 0.0, value_name = "MS")]
     gyro_delay_ms: f64,
+    /// What a sample's angular velocity is of the interval since the one before [default: mean, as published filters take it; of a recording
+    /// instantaneous, as its stage stamps them].
+    #[arg(long, value_enum)]
+    sampling: Option<imus::Sampled>,
     /// Print one JSON object: samples, ns_per_sample.
     #[arg(long)]
     json: bool,
@@ -51,11 +55,19 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     if !(0.0..=100.0).contains(&args.gyro_delay_ms) {
         return Err(Error::Usage(format!("--gyro-delay-ms {}: give 0 to 100", args.gyro_delay_ms)));
     }
-    let (_, imu) = imus::read(&args.imu, args.rate_hz, Inertial::sample)?;
+    let (stage, imu) = imus::read(&args.imu, args.rate_hz, Inertial::sample)?;
     if imu.rows.is_empty() {
         return Err(Error::Failed(format!("{} has no samples", args.imu.display())));
     }
-    let params = Params { gyro_delay_s: 1e-3 * args.gyro_delay_ms, ..Params::default() };
+    let sampling = match (args.sampling, stage) {
+        (Some(_), Some(_)) => {
+            return Err(Error::Usage("--sampling is for tables: a recording's stage states it".into()));
+        }
+        (Some(sampling), None) => sampling.into(),
+        (None, Some(_)) => Sampling::Instantaneous,
+        (None, None) => Sampling::Mean,
+    };
+    let params = Params { gyro_delay_s: 1e-3 * args.gyro_delay_ms, sampling, ..Params::default() };
     let first_dt_s = args.rate_hz.map_or(0.01, |rate| 1.0 / rate);
     let mut sensors = vec![Oriented::new(params, first_dt_s, !args.no_magnetometer); imu.sensors.len()];
     let mut orientations = Vec::with_capacity(imu.rows.len());

@@ -82,7 +82,7 @@ struct Oriented {
 impl Inertial {
     pub(super) fn new(magnetometer: bool, gyro_delay_s: f64) -> Self {
         Self {
-            filter: Ahrs::new(Params { gyro_delay_s, ..Params::default() }),
+            filter: Ahrs::new(Params { gyro_delay_s, ..Params::instantaneous() }),
             magnetometer,
             has_angular_velocity: false,
             specific_force_m_s2: Waiting::NONE,
@@ -148,6 +148,7 @@ impl Inertial {
         Some(Measured {
             t_valid,
             position_m: None,
+            clipped: false,
             orientation_wxyz: self.orientation_wxyz.take(t_valid, longest_s),
             button: None,
             inertial: Some(output::Inertial {
@@ -369,6 +370,7 @@ mod tests {
             let record = Measured {
                 t_valid: unit.t,
                 position_m: None,
+                clipped: false,
                 orientation_wxyz,
                 button: None,
                 inertial: Some(output::Inertial::default()),

@@ -76,11 +76,12 @@ impl Driver {
         }
     }
 
-    /// How much earlier than it is sent a record is true by the device's own doing, s, at least 0: half of what an x-IMU3
+    /// How much earlier than it is sent a record is true by the device's own doing, s, at least 0: half of what it
     /// averages over. `measurement_delay_ms` of the stage file comes on top.
     pub fn delay_s(&self) -> f64 {
         match self {
             Self::XImu3(settings) => settings.averaging_s(),
+            Self::Xbus(settings) => settings.averaging_s(),
             _ => 0.0,
         }
     }

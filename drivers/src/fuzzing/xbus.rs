@@ -16,6 +16,7 @@ pub fn xbus(data: &[u8]) -> usize {
     let (mut head, script) = Head::of(data);
     let default = Settings::default();
     let settings = Settings {
+        sampling: default.sampling,
         rate_hz: head.number(5.0, 2000.0).unwrap_or(default.rate_hz),
         orientation: head.flag(default.orientation),
     };

@@ -24,4 +24,4 @@ mod stream;
 
 pub use frame::{Frame, Framer};
 pub use session::XbusSession;
-pub use settings::Settings;
+pub use settings::{Sampling, Settings};

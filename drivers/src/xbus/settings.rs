@@ -15,15 +15,36 @@ pub struct Settings {
     pub rate_hz: f64,
     /// Whether the device also sends the orientation that it computes.
     pub orientation: bool,
+    /// What a sample is of the time since the one before; the mean is true half a period before its end.
+    pub sampling: Sampling,
+}
+
+/// What the rates and accelerations of a sample are of its period.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Plain)]
+#[serde(rename_all = "lowercase")]
+pub enum Sampling {
+    /// Their values at its end.
+    #[default]
+    Instantaneous,
+    /// Their means: of units that integrate inside.
+    Mean,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { rate_hz: 100.0, orientation: true }
+        Self { rate_hz: 100.0, orientation: true, sampling: Sampling::default() }
     }
 }
 
 impl Settings {
+    /// How long before the end of its period a sample is true, s.
+    pub fn averaging_s(&self) -> f64 {
+        match self.sampling {
+            Sampling::Instantaneous => 0.0,
+            Sampling::Mean => 0.5 / self.rate_hz,
+        }
+    }
+
     /// Checks values that the types cannot.
     ///
     /// # Errors

@@ -2,6 +2,7 @@
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use posed_drivers::Timestamp;
+use posed_drivers::xbus::Sampling;
 
 use super::GRAVITY_M_S2;
 use super::earth::EarthSpec;
@@ -60,6 +61,7 @@ pub(crate) struct Imu {
     magnetometer: Axes,
     filter: FilterError,
     random: Random,
+    sampling: Sampling,
     last: Option<Timestamp>,
 }
 
@@ -73,8 +75,14 @@ impl Imu {
             sensor,
             earth,
             random,
+            sampling: Sampling::Instantaneous,
             last: None,
         }
+    }
+
+    /// The same, of which each sample is of this kind.
+    pub(crate) fn sampled(self, sampling: Sampling) -> Self {
+        Self { sampling, ..self }
     }
 
     /// Pose, angular velocity and specific force at `t`.
@@ -102,17 +110,36 @@ impl Imu {
         }
     }
 
+    /// True angular velocity, rad/s, and specific force, m/s², of a sample that ends at `t` and stands for `dt_s`, sensor axes.
+    fn sampled_at(&self, t: Timestamp, dt_s: f64) -> [Vector3<f64>; 2] {
+        /// Points of the mid-point rule.
+        const POINTS: u32 = 8;
+        let at = |back_s: f64| {
+            let t = Timestamp::from_secs_f64((t.as_secs_f64() - back_s).max(0.0));
+            let truth = self.kinematics(t);
+            [truth.angular_velocity_rad_s, truth.specific_force_m_s2]
+        };
+        match self.sampling {
+            Sampling::Instantaneous => at(0.0),
+            Sampling::Mean => (0..POINTS).fold([Vector3::zeros(); 2], |[turns, forces], point| {
+                let [turn, force] = at(dt_s * (f64::from(point) + 0.5) / f64::from(POINTS));
+                [turns + turn / f64::from(POINTS), forces + force / f64::from(POINTS)]
+            }),
+        }
+    }
+
     /// Measures at `t`; a sample stands for `dt_s`. Times must not go backwards.
     pub(crate) fn measure(&mut self, t: Timestamp, dt_s: f64) -> Inertial {
-        let truth = self.kinematics(t);
+        let rotation = self.sensor.pose_in_room(t).rotation;
+        let [angular_velocity_rad_s, specific_force_m_s2] = self.sampled_at(t, dt_s);
         let (field, _) = self.earth.field(t.as_secs_f64());
         let Self { gyroscope, accelerometer, magnetometer, filter, random, .. } = self;
-        let field = truth.pose.rotation.inverse() * field;
+        let field = rotation.inverse() * field;
         let since_s = self.last.replace(t).map_or(dt_s, |last| t.seconds_since(last).max(0.0));
-        let angular_velocity_rad_s = gyroscope.measure(&truth.angular_velocity_rad_s, dt_s, random);
-        let specific_force_m_s2 = accelerometer.measure(&truth.specific_force_m_s2, dt_s, random);
+        let angular_velocity_rad_s = gyroscope.measure(&angular_velocity_rad_s, dt_s, random);
+        let specific_force_m_s2 = accelerometer.measure(&specific_force_m_s2, dt_s, random);
         let magnetic_field = magnetometer.measure(&field, dt_s, random);
-        let orientation = filter.apply(&truth.pose.rotation, since_s, random);
+        let orientation = filter.apply(&rotation, since_s, random);
         let gravity = orientation.inverse() * Vector3::new(0.0, 0.0, GRAVITY_M_S2);
         Inertial {
             angular_velocity_rad_s,

@@ -165,8 +165,10 @@ impl Parts<'_> {
             return Err(self.wrong("a stand-alone tracker has one sensor, at address 1"));
         }
         let addresses = if is_chain { 1..=highest } else { lowest..=lowest };
-        let trackers =
-            addresses.map(|address| Tracker::new(self.index, address, self.imu(address, |errors| errors)));
+        let trackers = addresses.map(|address| {
+            let imu = self.imu(address, |errors| errors).map(|imu| imu.sampled(self.given.sampling));
+            Tracker::new(self.index, address, imu)
+        });
         let trackers = trackers.collect();
         Ok(Powered::new(self.config(), self.random(), |chassis| Xbus::new(personality, trackers, chassis)))
     }

@@ -53,6 +53,10 @@ struct Solve {
     /// Samples per second of each sensor, for a file without a column `t`.
     #[arg(long, value_name = "HZ")]
     rate_hz: Option<f64>,
+    /// What samples of a table are of the interval since the one before; means are true in its middle, half an interval before their `t`, and so is what is
+    /// written.
+    #[arg(long, value_enum, default_value = "instantaneous")]
+    sampling: imus::Sampled,
     /// Find also which sensor sits on which segment, from the movements in [[body.calibration]]: `segment` in the stage file specifies
     /// which are worn, not by whom; ten sensors need not say.
     #[arg(long)]
@@ -81,7 +85,13 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 }
 
 fn solve(args: &Solve) -> Result<(), Error> {
-    let (recorded, imu) = imus::read(&args.imus, args.rate_hz, Inertial::sample)?;
+    let (recorded, mut imu) = imus::read(&args.imus, args.rate_hz, Inertial::sample)?;
+    if args.sampling == imus::Sampled::Mean {
+        if recorded.is_some() {
+            return Err(Error::Usage("--sampling is for tables: a recording's stage states it".into()));
+        }
+        imus::centre(&mut imu);
+    }
     let stage = match (&args.stage, recorded) {
         (Some(path), _) => Stage::load(path).map_err(Error::failed)?,
         (None, Some(stage)) => stage,

@@ -67,6 +67,8 @@ pub struct Params {
     /// How far the gyro's samples lag behind their time stamps (its low-pass), s: the published orientation is
     /// carried forward by that much.
     pub gyro_delay_s: f64,
+    /// What a sample is of the time since the one before it.
+    pub sampling: Sampling,
     /// Tilt and gyro bias.
     pub inclination: InclinationParams,
     /// Magnetic heading.
@@ -80,11 +82,31 @@ impl Default for Params {
         Self {
             window_s: 0.028,
             gyro_delay_s: 0.0,
+            sampling: Sampling::default(),
             inclination: InclinationParams::default(),
             heading: HeadingParams::default(),
             rest: RestParams::default(),
         }
     }
+}
+
+impl Params {
+    /// The defaults, for samples that hold at their time stamps: so the pipeline stamps them, and so limbs take them.
+    pub fn instantaneous() -> Self {
+        Self { sampling: Sampling::Instantaneous, ..Self::default() }
+    }
+}
+
+/// What the angular velocity of a sample is of the interval since the sample before. Taken for the other one, an orientation is wrong by what the sensor
+/// turns in half an interval.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Plain)]
+#[serde(rename_all = "lowercase")]
+pub enum Sampling {
+    /// Its mean, so that it times the interval is what the sensor turned: units that integrate inside; published filters assume it.
+    #[default]
+    Mean,
+    /// Its value at the end, the time stamp.
+    Instantaneous,
 }
 
 /// One sample of an IMU, in sensor axes, corrected by its [`crate::intrinsics`] where those are known.
@@ -222,7 +244,11 @@ impl Ahrs {
             self.window.bridged_rad2 +=
                 (BRIDGED * since_s).powi(2) * (angular_velocity_rad_s - before).norm_squared();
         } else {
-            self.q_level_sensor = integrate(self.q_level_sensor, angular_velocity_rad_s, dt_s);
+            let over_step_rad_s = match self.params.sampling {
+                Sampling::Instantaneous if goes_on => 0.5 * (before + angular_velocity_rad_s),
+                _ => angular_velocity_rad_s,
+            };
+            self.q_level_sensor = integrate(self.q_level_sensor, over_step_rad_s, dt_s);
         }
         let rotation = self.q_level_sensor.to_rotation_matrix();
         let rotation = rotation.matrix();

@@ -84,7 +84,7 @@ pub fn align_recording(
 /// one found. Whether a field was believed says the second value; the orientation is that of the room then, and of a level
 /// frame otherwise.
 fn oriented(imu: &[(f64, ImuSample)], magnetometer: bool) -> (Vec<Oriented>, bool) {
-    let mut filter = Ahrs::new(Params::default());
+    let mut filter = Ahrs::new(Params::instantaneous());
     let mut gyro = UnitQuaternion::identity();
     let mut believed = 0;
     let mut out = Vec::with_capacity(imu.len());

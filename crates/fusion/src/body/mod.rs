@@ -105,12 +105,18 @@ pub struct SensorMount {
 }
 
 /// What the body's filters assume; the defaults serve all IMUs of MEMS class.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BodyParams {
-    /// Of every sensor's orientation filter.
+    /// Of every sensor's orientation filter; limbs take samples as instantaneous ones, too.
     pub ahrs: Params,
     /// Of the limbs' filters.
     pub limb: LimbNoise,
+}
+
+impl Default for BodyParams {
+    fn default() -> Self {
+        Self { ahrs: Params::instantaneous(), limb: LimbNoise::default() }
+    }
 }
 
 /// Where the body's heading comes from: by the sensor of the torso, else of the pelvis, else the first that is worn.

@@ -167,7 +167,7 @@ impl LiveChain {
                 }
                 _ => return None,
             };
-            let ahrs = Ahrs::new(Params { gyro_delay_s: 0.0, ..Params::default() });
+            let ahrs = Ahrs::new(Params::instantaneous());
             Some(Link { ahrs, last_s: None, mount, hinge, heading_rad: 0.0 })
         });
         Some(Self { links: links.collect::<Option<_>>()? })

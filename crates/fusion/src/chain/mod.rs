@@ -184,7 +184,7 @@ fn steps_s(epochs: &[Epoch]) -> Vec<f64> {
 /// One sensor's orientations in its level frame, each from the whole recording.
 fn level_orientations(epochs: &[Epoch], steps_s: &[f64], index: usize) -> Vec<UnitQuaternion<f64>> {
     // The delay of the sensors' low-pass is not known here, and between equal sensors it cancels.
-    let params = Params { gyro_delay_s: 0.0, ..Params::default() };
+    let params = Params::instantaneous();
     let samples: Vec<_> =
         epochs.iter().map(|epoch| epoch.samples[index]).zip(steps_s.iter().copied()).collect();
     smoothed(&params, &samples)

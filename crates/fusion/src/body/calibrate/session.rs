@@ -80,7 +80,7 @@ pub(in super::super) struct Tracks {
 
 impl Tracks {
     pub(in super::super) fn new(present: &[bool; SEGMENTS], magnetic: bool) -> Self {
-        let filters = present.map(|present| present.then(|| Ahrs::new(Params::default())));
+        let filters = present.map(|present| present.then(|| Ahrs::new(Params::instantaneous())));
         let orientations = std::array::from_fn(|_| Vec::new());
         let (seen, seen_field) = ([false; SEGMENTS], [false; SEGMENTS]);
         Self { magnetic, filters, last_s: None, seen, seen_field, orientations }
