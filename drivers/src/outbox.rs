@@ -78,6 +78,14 @@ impl Outbox {
         self.queue.push_back(Output::Sample(sample));
     }
 
+    pub(crate) fn heading_reset(&mut self) {
+        self.queue.push_back(Output::HeadingReset);
+    }
+
+    pub(crate) fn pressed(&mut self, address: u16) {
+        self.queue.push_back(Output::Pressed(address));
+    }
+
     /// Warns, unless a warning of the same `kind` went out within the last ten seconds.
     pub(crate) fn warn(&mut self, now: Timestamp, kind: u32, sentence: impl FnOnce() -> String) {
         if let Some((_, last)) = self.warned.iter_mut().find(|(known, _)| *known == kind) {

@@ -71,6 +71,8 @@ pub enum Measurement {
         /// Position of the sensor in the transmitter frame, m (Flock, MotionStar: x forward, y right, z down). Absent in
         /// orientation-only formats. In the wrong half-space around the transmitter it is the negative of the true one.
         position_m: Option<[f64; 3]>,
+        /// Whether a coordinate of it is at the end of what the record can say: beyond, it stands still there, and the others go on.
+        clipped: bool,
         /// Unit quaternion (w, x, y, z) that turns sensor coordinates into transmitter coordinates.
         /// Absent in position-only formats.
         orientation_wxyz: Option<[f64; 4]>,

@@ -44,6 +44,10 @@ pub enum Output {
     /// The state has changed; read it with [`Session::state`]. That a device streams which does not count its cycles comes before
     /// the first sample.
     StateChanged,
+    /// Somebody asked on a tracker itself, in the way that it has for this, that headings begin anew.
+    HeadingReset,
+    /// The button of the sensor at this address was pressed; what that means is not the driver's affair.
+    Pressed(u16),
     /// Something the operator should know, in one sentence that states what to do.
     Warning(String),
 }

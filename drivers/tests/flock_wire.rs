@@ -38,6 +38,19 @@ fn close<const N: usize>(got: [f64; N], expected: [f64; N], tolerance: f64) {
 }
 
 #[test]
+fn a_coordinate_at_the_end_of_the_words_is_clipped() {
+    let shape = shape(Format::Position, false, false);
+    let clipped = |x_m: f64| {
+        let mut bytes = Vec::new();
+        record::encode([x_m, 0.1, -0.2], [1.0, 0.0, 0.0, 0.0], (0, 0), shape, scale(Range::In36), &mut bytes);
+        record::decode(&bytes, shape, scale(Range::In36), Tolerance::CAPTURE).unwrap().is_clipped(Range::In36)
+    };
+    let end_m = Range::In36.metres();
+    assert_eq!([0.0, 0.999 * end_m, end_m, 1.5 * end_m].map(clipped), [false, false, true, true]);
+    assert_eq!([-0.999 * end_m, -end_m, -1.5 * end_m].map(clipped), [false, true, true]);
+}
+
+#[test]
 fn example_1_position_angles() {
     let (p, _, _) = decode(
         "AA 15 63 79 00 24 55 0A 55 7A 00 20",

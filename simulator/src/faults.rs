@@ -131,6 +131,13 @@ pub enum Fault {
         /// When, s.
         at_s: f64,
     },
+    /// Somebody presses the button of a unit: an x-IMU3's, or the one that resets a SlimeVR tracker's heading.
+    Button {
+        /// Which unit.
+        address: u16,
+        /// When, s.
+        at_s: f64,
+    },
     /// A unit comes from another network address.
     AddressChange {
         /// Which unit.
@@ -191,6 +198,7 @@ impl Fault {
             Self::LostPeriods { .. } => "lost-periods",
             Self::WrongOutput { .. } => "wrong-output",
             Self::LowBattery { .. } => "low-battery",
+            Self::Button { .. } => "button",
             Self::AddressChange { .. } => "address-change",
             Self::LostDatagrams(_) => "lost-datagrams",
             Self::DuplicatedDatagrams(_) => "duplicated-datagrams",
@@ -217,6 +225,7 @@ impl Fault {
             | Self::CounterRestart { at_s }
             | Self::LostPeriods { at_s, .. }
             | Self::LowBattery { at_s, .. }
+            | Self::Button { at_s, .. }
             | Self::AddressChange { at_s, .. } => (at_s, at_s),
             Self::Unplug { at_s, duration_s, .. }
             | Self::BirdDies { at_s, duration_s, .. }
@@ -250,6 +259,7 @@ impl Fault {
             | Self::BadMatrix { address, .. }
             | Self::Error { address, .. }
             | Self::LowBattery { address, .. }
+            | Self::Button { address, .. }
             | Self::AddressChange { address, .. } => Some(address),
             _ => None,
         }
@@ -268,6 +278,7 @@ impl Fault {
                 | Self::LostPeriods { .. }
                 | Self::WrongOutput { .. }
                 | Self::LowBattery { .. }
+                | Self::Button { .. }
                 | Self::AddressChange { .. }
         )
     }

@@ -28,7 +28,7 @@ fn walking() -> Stage {
 }
 
 fn scenario(faults: Vec<Fault>) -> Scenario {
-    let walk = Walk { center_m: [0.75, 0.0, -0.55], radius_m: [0.1, 0.2], speed_m_s: 0.4, ..Walk::default() };
+    let walk = Walk { center_m: [0.65, 0.0, -0.55], radius_m: [0.1, 0.2], speed_m_s: 0.4, ..Walk::default() };
     let sensor = |name: &str| SensorScenario {
         name: name.into(),
         body: "figure".into(),

@@ -105,7 +105,11 @@ pub async fn ask(line: &mut Port<Stream>, kind: Kind, reset: bool) -> io::Result
             match output {
                 Output::Transmit(bytes) => line.write_all(&bytes).await?,
                 Output::SetRts(asserted) => line.set_rts(asserted)?,
-                Output::Sample(_) | Output::StateChanged | Output::Warning(_) => {}
+                Output::Sample(_)
+                | Output::StateChanged
+                | Output::HeadingReset
+                | Output::Pressed(_)
+                | Output::Warning(_) => {}
             }
         }
         if let Some(result) = probe.result() {

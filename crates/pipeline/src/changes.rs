@@ -10,7 +10,7 @@ use super::input_error::InputError;
 use super::sensor::Sensor;
 use posed_fusion::noise::TrackerNoise;
 use posed_motion::fault_map::FaultMap;
-use posed_stage::input::{Model, Request, SensorIndex};
+use posed_stage::input::{DeviceIndex, Model, Request, SensorIndex};
 use posed_stage::output::{Outcome, OutcomeKind, Output};
 
 impl Pipeline {
@@ -58,6 +58,17 @@ impl Pipeline {
             }
             _ => self.exercise.check(request),
         }
+    }
+
+    /// Somebody who wears them asked on a tracker itself that the headings begin anew: looks ahead, along the room's x.
+    pub(super) fn asked_on_a_tracker(&mut self, device: DeviceIndex, emit: &mut impl FnMut(Output<'_>)) {
+        let done = self.body.as_mut().is_some_and(|body| body.reset_heading(None, 0.0));
+        let text = if done {
+            "asked for on a tracker: the headings of the body begin anew, it looks along the room's x"
+        } else {
+            "a tracker asks that headings begin anew, and there is no IMU on a calibrated human body whose heading drifts"
+        };
+        emit(Output::Warning { device, text });
     }
 
     /// The sensor whose heading is to begin anew, `None` for all of the body.

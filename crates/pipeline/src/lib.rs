@@ -360,6 +360,13 @@ impl Pipeline {
             match output {
                 SessionOutput::Transmit(bytes) => emit(Output::Transmit { device, bytes: &bytes }),
                 SessionOutput::SetRts(asserted) => emit(Output::SetRts { device, asserted }),
+                SessionOutput::HeadingReset => self.asked_on_a_tracker(device, emit),
+                SessionOutput::Pressed(_)
+                    if self.body.as_ref().is_some_and(|body| body.resets_by_button()) =>
+                {
+                    self.asked_on_a_tracker(device, emit)
+                }
+                SessionOutput::Pressed(_) => {}
                 SessionOutput::Warning(text) => emit(Output::Warning { device, text: &text }),
                 SessionOutput::StateChanged => {
                     self.state_changed(device);
@@ -440,6 +447,12 @@ impl Pipeline {
         } = self;
         while let Some(frame) = frames.poll(*now) {
             estimate.fault = faults.as_mut().map(|faults| faults.frame(frame, room_transmitter));
+            if let Some(body) = body {
+                for (sensor, position_m) in body.brought_by_feet() {
+                    let position_m = room_transmitter.inverse_transform_point(&position_m.into()).coords;
+                    sensors[usize::from(sensor)].known_at(frame.t_valid, position_m);
+                }
+            }
             estimate_frame(frame, sensors, field, room_transmitter, faults.as_deref(), estimate);
             attached.frame(frame, sensors, room_transmitter, estimate);
             estimate.sensors.iter_mut().for_each(SensorEstimate::withhold_non_finite);

@@ -85,6 +85,13 @@ impl Magnetic {
         self.reading = None;
     }
 
+    /// Something else knows where the sensor is at a time, device axes, m. Heard where nothing is tracked.
+    pub(super) fn known_at(&mut self, t: Timestamp, position_m: Vector3<f64>) {
+        if self.tracker.expectation(t).is_none() {
+            self.detector.known_at(position_m);
+        }
+    }
+
     /// Position of the newest believed record of this frame, corrected, m.
     pub(super) fn corrected_m(&self) -> Option<Vector3<f64>> {
         self.reading?.corrected.position_m
@@ -122,6 +129,9 @@ impl Magnetic {
         let finite = pose.position_m.is_none_or(|position| position.iter().all(|value| value.is_finite()));
         if !finite || (pose.orientation.is_none() && measured.orientation_wxyz.is_some()) {
             return Finding::new(Verdict::Suspect, Label::anomalous(Cause::Gate));
+        }
+        if measured.clipped {
+            return Finding::new(Verdict::Dropped, Label::anomalous(Cause::Saturated));
         }
         let expected = self.tracker.expectation(t).map(|expected| field.uncorrected(expected));
         let noise = self.tracker.noise();
@@ -237,6 +247,7 @@ mod tests {
         let record = Measured {
             t_valid: at(1.0),
             position_m: Some([0.4, 0.1, 0.2]),
+            clipped: false,
             orientation_wxyz: Some([1.0, 0.0, 0.0, 0.0]),
             button: None,
             inertial: None,

@@ -170,12 +170,19 @@ impl Sensor {
     /// The record that a measurement makes; none where it only adds to the next one.
     pub(super) fn record(&mut self, t_valid: Timestamp, measurement: &Measurement) -> Option<Measured> {
         match (&mut self.kind, *measurement) {
-            (Kind::Magnetic(_), Measurement::Pose { position_m, orientation_wxyz, button }) => {
-                Some(Measured { t_valid, position_m, orientation_wxyz, button, inertial: None })
+            (Kind::Magnetic(_), Measurement::Pose { position_m, clipped, orientation_wxyz, button }) => {
+                Some(Measured { t_valid, position_m, clipped, orientation_wxyz, button, inertial: None })
             }
             (Kind::Inertial(inertial), measurement) => inertial.record(t_valid, &measurement),
             // No driver of magnetic trackers has such samples.
             (Kind::Magnetic(_), Measurement::Imu { .. }) => None,
+        }
+    }
+
+    /// Something else knows where a magnetic sensor is, device axes, m.
+    pub(super) fn known_at(&mut self, t: Timestamp, position_m: Vector3<f64>) {
+        if let Kind::Magnetic(magnetic) = &mut self.kind {
+            magnetic.known_at(t, position_m);
         }
     }
 

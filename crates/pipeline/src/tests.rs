@@ -170,6 +170,7 @@ fn samples_without_sense_are_never_good() {
             t_device: posed_drivers::DeviceTime::Cycle(k * k % 1000),
             measurement: Measurement::Pose {
                 position_m: Some([value, 0.0, 0.3]),
+                clipped: false,
                 orientation_wxyz: Some([1.0, 0.0, value, 0.0]),
                 button: None,
             },

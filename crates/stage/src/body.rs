@@ -57,6 +57,9 @@ pub struct Body {
     /// Where the sensors sit on their segments.
     #[serde(default)]
     pub mounting: Mounting,
+    /// Whether the button of a tracker means: I look ahead, begin the headings anew.
+    #[serde(default)]
+    pub reset_by_button: bool,
     /// Segments of a custom skeleton, parents first.
     #[serde(default)]
     pub segments: Vec<SegmentSpec>,

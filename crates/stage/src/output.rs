@@ -235,6 +235,8 @@ pub struct Measured {
     pub t_valid: Timestamp,
     /// Position in device axes, m; absent in formats without one, and of IMUs.
     pub position_m: Option<[f64; 3]>,
+    /// Whether a coordinate of it is at the end of what the device can say, beyond which it stands still.
+    pub clipped: bool,
     /// Sensor to device axes, scalar first; absent where the record holds none. Of an IMU it is what the unit computes itself.
     pub orientation_wxyz: Option<[f64; 4]>,
     /// Button byte as sent; absent where the device sends none.

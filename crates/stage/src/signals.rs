@@ -186,6 +186,7 @@ mod tests {
             measured: Some(crate::output::Measured {
                 t_valid: posed_drivers::Timestamp::default(),
                 position_m: None,
+                clipped: false,
                 orientation_wxyz: None,
                 button: None,
                 inertial: Some(crate::output::Inertial {

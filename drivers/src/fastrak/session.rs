@@ -218,6 +218,8 @@ impl FastrakSession {
             t_device: DeviceTime::Cycle(self.cycle),
             measurement: Measurement::Pose {
                 position_m: Some(record.position_m),
+                // Its words are numbers with a decimal point.
+                clipped: false,
                 orientation_wxyz: Some(record.orientation_wxyz),
                 button: record.button.map(u8::from),
             },

@@ -363,6 +363,7 @@ impl Splitter {
                     t_device: DeviceTime::Cycle(cycle),
                     measurement: Measurement::Pose {
                         position_m: decoded.position_m,
+                        clipped: decoded.is_clipped(self.scale.range),
                         orientation_wxyz: decoded.orientation_wxyz,
                         button: decoded.button,
                     },

@@ -366,6 +366,7 @@ impl MotionStarSession {
                         t_device,
                         measurement: Measurement::Pose {
                             position_m: pose.position_m,
+                            clipped: pose.is_clipped(self.birds[k].range_m),
                             orientation_wxyz: pose.orientation_wxyz,
                             button: record.buttons.map(|[_, low]| low),
                         },

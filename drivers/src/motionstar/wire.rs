@@ -382,6 +382,14 @@ pub struct Pose {
     pub orientation_wxyz: Option<[f64; 4]>,
 }
 
+impl Pose {
+    /// Whether a coordinate is at the end of the words' range, `range_m` (full scale, m).
+    pub fn is_clipped(&self, range_m: f64) -> bool {
+        let end_m = range_m * (1.0 - 1.5 / FULL_SCALE);
+        self.position_m.is_some_and(|position_m| position_m.iter().any(|at_m| at_m.abs() >= end_m))
+    }
+}
+
 impl Record<'_> {
     /// The pose; `Ok(None)` for a record without one (code 0 no data, 14 feed-through, such as a wand's buttons).
     ///

@@ -4,6 +4,10 @@
 const MOST_M_S2: f64 = 1000.0;
 /// Bytes in front of the body: type and packet number.
 const HEADER: usize = 12;
+/// What somebody asks for at a tracker: that pose and heading, or the heading alone, be those of somebody who looks ahead.
+pub const FULL_RESET: u8 = 2;
+/// See [`FULL_RESET`].
+pub const YAW_RESET: u8 = 3;
 
 /// A packet of a tracker: head parsed, items still in their bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,6 +69,8 @@ pub enum Item<'a> {
     SensorInfo(SensorInfo),
     /// What the tracker can do, and it asks what the server can.
     FeatureFlags,
+    /// Somebody asks for something at the tracker: [`FULL_RESET`], [`YAW_RESET`], or what only the vendor's server does.
+    Action(u8),
     /// Something else that trackers send, by its type: known, and without use here.
     Other(u32),
 }
@@ -196,7 +202,8 @@ fn decode(kind: u32, body: &[u8]) -> Option<Item<'_>> {
                 acceleration_m_s2: acceleration([4, 5, 6].map(|k| word(k) / 128.0))?,
             }
         }
-        11 | 13 | 18..=21 | 24 | 26 | 27 | 105 => Item::Other(kind),
+        21 => Item::Action(*body.first()?),
+        11 | 13 | 18..=20 | 24 | 26 | 27 | 105 => Item::Other(kind),
         _ => return None,
     })
 }

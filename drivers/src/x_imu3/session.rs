@@ -184,6 +184,10 @@ impl XImu3Session {
         let Some(stamped) = data::decode(&body) else { return false };
         if let Data::Error(text) | Data::Notification(text) = stamped.data {
             let (address, kind) = (self.units[index].address, u32::from(stamped.data.letter()));
+            if text.starts_with(wire::BUTTON_PRESSED) {
+                self.outbox.pressed(address);
+                return true;
+            }
             self.outbox.warn(now, kind << 16 | u32::from(address), || {
                 format!("unit {address} reports: {}", String::from_utf8_lossy(text))
             });

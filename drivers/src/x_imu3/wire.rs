@@ -12,6 +12,8 @@ pub const LF: u8 = 0x0A;
 pub const MAX_LINE: usize = 4096;
 /// First byte of a message of a chain; as a channel it means all units.
 pub const MUX: u8 = b'^';
+/// How the notification of a pressed button begins.
+pub const BUTTON_PRESSED: &[u8] = b"Button pressed";
 /// Bit 7 of the first byte of binary data.
 const BINARY: u8 = 0x80;
 const ESCAPE: u8 = 0xDB;

@@ -208,7 +208,7 @@ fn a_unit_is_set_up_and_streams() {
             rig.run_ms(1000);
             assert!((119..=121).contains(&rig.samples.len()), "{}", rig.samples.len());
             let sample = rig.samples[0];
-            let Measurement::Pose { position_m, orientation_wxyz, button: pressed } = sample.measurement
+            let Measurement::Pose { position_m, orientation_wxyz, button: pressed, .. } = sample.measurement
             else {
                 panic!()
             };

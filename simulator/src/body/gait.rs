@@ -19,6 +19,8 @@ pub(super) struct Path {
     pub curvature_per_m: f64,
     /// By how much each foothold lies above the one before, m.
     pub rise_m: f64,
+    /// The last step, which brings the feet beside each other; `None`: there is none.
+    pub last: Option<i64>,
 }
 
 /// Steps per second, of everybody.
@@ -49,6 +51,14 @@ struct Station {
 impl Path {
     /// The hips are over the first foothold until so many steps before the first.
     pub(super) const BEGIN: f64 = -1.0;
+    /// And over the last one from so many steps after that on.
+    pub(super) const END: f64 = 1.0;
+
+    /// Once round a circle to the left in `last` steps, and back to where it began.
+    pub(super) fn lap(step: f64, last: i64, build: &Build) -> Self {
+        let way_m = (last as f64 - 1.5) * step * (build.thigh_m + build.shank_m);
+        Self { step, curvature_per_m: std::f64::consts::TAU / way_m, rise_m: 0.0, last: Some(last) }
+    }
 
     /// Adds to somebody who stands upright that `steps` have been made, from [`Self::BEGIN`] on, beginning with the right foot.
     pub(super) fn walk(&self, posture: &mut Posture, steps: f64, build: &Build) {
@@ -56,8 +66,9 @@ impl Path {
         let leg_m = build.thigh_m + build.shank_m;
         let ankle_m = from_m.z - leg_m;
         let into_room = |at_m: Vector3<f64>| from_m.xy().push(0.0) + about_z(facing) * at_m;
-        // From standing to the full swing of everything.
-        let grow = step((steps - Self::BEGIN) / 1.5);
+        // From standing to the full swing of everything, and back.
+        let left = self.last.map_or(f64::INFINITY, |last| last as f64 + Self::END - steps);
+        let grow = step((steps - Self::BEGIN) / 1.5) * step(left / 1.5);
         let swing = std::f64::consts::PI * steps;
         let (right_ahead, sway) = (-libm::cos(swing), libm::sin(swing));
 
@@ -86,17 +97,36 @@ impl Path {
     }
 
     /// Whether any part of the right and of the left foot is on the floor.
-    pub(super) fn contacts(steps: f64) -> [bool; 2] {
-        [0, 1].map(|side| !(0.0..1.0).contains(&flight(steps, swung(side, steps).1)))
+    pub(super) fn contacts(&self, steps: f64) -> [bool; 2] {
+        [0, 1].map(|side| {
+            let (_, next) = swung(side, steps);
+            self.is_over(next) || !(0.0..1.0).contains(&flight(steps, next))
+        })
     }
 
-    /// How far along the way the foothold of a step lies, m; the first two are beside each other.
+    /// How far along the way the foothold of a step lies, m; the first two are beside each other, and the last two.
     fn foothold_m(&self, k: i64, build: &Build) -> f64 {
+        let k = self.reached(k);
         if k <= 0 { 0.0 } else { (k as f64 - 0.5) * self.step * (build.thigh_m + build.shank_m) }
     }
 
     fn height_m(&self, k: i64) -> f64 {
-        k.max(0) as f64 * self.rise_m
+        self.reached(k).max(0) as f64 * self.rise_m
+    }
+
+    /// The step that leads as far as this one.
+    fn reached(&self, k: i64) -> i64 {
+        self.last.map_or(k, |last| k.min(last - 1))
+    }
+
+    /// Whether the last step has been made before this one.
+    fn is_over(&self, k: i64) -> bool {
+        self.last.is_some_and(|last| k > last)
+    }
+
+    /// Whether somebody stands on the foothold of a step before the way or after it.
+    fn rests(&self, k: i64) -> bool {
+        k <= 0 || self.reached(k + 1) != k + 1
     }
 
     /// The place so far along the way, and so far to its left, m; the way begins in the origin along x.
@@ -117,26 +147,32 @@ impl Path {
         let left = if side == 0 { -1.0 } else { 1.0 };
         let (last, next) = swung(side, steps);
         let stands = |k: i64| {
-            let beside_m = left * TRACK[usize::from(k > 0)] * build.hip_width_m;
+            let beside_m = left * TRACK[usize::from(!self.rests(k))] * build.hip_width_m;
             let station = self.station(self.foothold_m(k, build), beside_m);
             Station { at_m: station.at_m + Vector3::z() * self.height_m(k), ..station }
         };
         let mut station = stands(last);
         // How far the toe points up: as it leaves, and lands.
         let since = steps - (next - 1) as f64;
-        // The first step is half a step.
-        let size = if next <= 1 { 0.5 } else { 1.0 };
+        // The first step is half a step, and so is the last.
+        let size = match self.last {
+            Some(last) if next > last => 0.0,
+            Some(last) if next == last => 0.5,
+            _ if next <= 1 => 0.5,
+            _ => 1.0,
+        };
+        let lands = if self.is_over(next) { 0.0 } else { 1.0 };
         let turned = DOUBLE_SUPPORT + PUSH_OFF;
         let leaves = minimum_jerk((since + HEEL_OFF) / (HEEL_OFF + turned))
             - minimum_jerk((since - turned) / (0.95 - turned));
         let falls =
             |landed: i64| minimum_jerk((steps - landed as f64 + LOADING[0]) / (LOADING[0] + LOADING[1]));
-        let mut pitch =
-            TOE_UP_RAD * (minimum_jerk((since - 0.5) / 0.42) - falls(next)) - size * TOE_DOWN_RAD * leaves;
-        if last > 0 {
+        let mut pitch = lands * TOE_UP_RAD * (minimum_jerk((since - 0.5) / 0.42) - falls(next))
+            - size * TOE_DOWN_RAD * leaves;
+        if last > 0 && !self.is_over(last) {
             pitch += TOE_UP_RAD * (1.0 - falls(last));
         }
-        let share = minimum_jerk(flight(steps, next));
+        let share = lands * minimum_jerk(flight(steps, next));
         // A foot that has lain down since it landed leaves the floor by its ball.
         let landing = if since > -HEEL_OFF { share } else { 1.0 };
         let ahead = stands(next);
@@ -248,8 +284,8 @@ fn hip_m(posture: &Posture, sign: f64, build: &Build) -> Vector3<f64> {
 mod tests {
     use super::*;
 
-    const LAPS: Path = Path { step: 0.55, curvature_per_m: 0.5, rise_m: 0.0 };
-    const STAIRS: Path = Path { step: 0.32, curvature_per_m: 0.0, rise_m: 0.17 };
+    const LAPS: Path = Path { step: 0.55, curvature_per_m: 0.5, rise_m: 0.0, last: None };
+    const STAIRS: Path = Path { step: 0.32, curvature_per_m: 0.0, rise_m: 0.17, last: None };
 
     fn standing(build: &Build) -> Posture {
         Posture {
@@ -268,7 +304,9 @@ mod tests {
     /// Legs reach where the feet are, a flat foot stays where it is, and nothing leaps.
     #[test]
     fn feet_that_stand_stay() {
-        for (path, build) in [(LAPS, Build::of_height(1.8)), (STAIRS, Build::of_height(1.6))] {
+        let tall = Build::of_height(1.8);
+        let lap = Path::lap(0.5, 24, &tall);
+        for (path, build) in [(LAPS, tall), (STAIRS, Build::of_height(1.6)), (lap, tall)] {
             let leg_m = build.thigh_m + build.shank_m;
             let mut before: Option<[Vector3<f64>; 2]> = None;
             let mut still = [0; 2];
@@ -310,6 +348,29 @@ mod tests {
         }
     }
 
+    /// And nothing leaps on the way to it, nor do its feet slide: `feet_that_stand_stay`.
+    #[test]
+    fn who_has_walked_a_lap_stands_as_before() {
+        let build = Build::of_height(1.75);
+        let lap = Path::lap(0.5, 16, &build);
+        let mut before = standing(&build).place(&build);
+        for tick in -100..=1700 {
+            let mut posture = standing(&build);
+            lap.walk(&mut posture, f64::from(tick) * 0.01, &build);
+            let after = posture.place(&build);
+            for (before, after) in before.iter().zip(&after) {
+                assert!((before.origin_m - after.origin_m).norm() < 0.05, "{tick}");
+                assert!((before.axes - after.axes).norm() < 0.15, "{tick}");
+            }
+            before = after;
+        }
+        for (begun, ended) in standing(&build).place(&build).iter().zip(&before) {
+            assert!((begun.axes - ended.axes).norm() < 1e-6);
+            assert!((begun.origin_m - ended.origin_m).norm() < 1e-6, "{}", begun.origin_m - ended.origin_m);
+        }
+        assert_eq!(lap.contacts(17.0), [true, true]);
+    }
+
     #[test]
     fn a_squat_leaves_the_feet_where_they_are() {
         let build = Build::of_height(1.7);
@@ -329,7 +390,7 @@ mod tests {
     fn one_foot_stands_at_least() {
         let mut both = 0;
         for tick in -100..2000 {
-            let [right, left] = Path::contacts(f64::from(tick) * 0.01);
+            let [right, left] = LAPS.contacts(f64::from(tick) * 0.01);
             assert!(right || left);
             both += usize::from(right && left);
         }

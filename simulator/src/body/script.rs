@@ -25,6 +25,8 @@ pub enum Activity {
     Rehabilitation,
     /// Walks about the room in laps of two metres' radius, a step of half a leg 1.7 times a second; feet that stand do not slide.
     Strolling,
+    /// Walks once round a circle of a metre's radius, in 16 steps, and stands where it began.
+    Lap,
     /// Climbs stairs without end, each 17 cm high.
     Climbing,
     /// Holds an N-pose and a T-pose in turn, three seconds each: what a quick guided calibration asks for.
@@ -35,7 +37,8 @@ pub enum Activity {
     /// Stands, holds a T-pose, then moves limb after limb, head, hands, feet and the trunk with rests between, again and again: what a calibration asks
     /// for that finds which sensor sits where.
     Movements,
-    /// Three sets of five curls, reaches, three sets of five squats, with five seconds of rest after each set: two minutes, again and again.
+    /// Three sets of five curls, reaches, three sets of five squats, with five seconds of rest after each set, and a lap about the room: two minutes and a
+    /// quarter, again and again.
     Workout,
 }
 
@@ -65,13 +68,17 @@ struct Part {
 }
 
 /// What a workout consists of. Sets are five whole repetitions, so that who teaches one sees the next counted.
-const WORKOUT: [Part; 7] = [CURLS, CURLS, CURLS, REACHES, SQUATS, SQUATS, SQUATS];
+const WORKOUT: [Part; 8] = [CURLS, CURLS, CURLS, REACHES, SQUATS, SQUATS, SQUATS, LAP];
 const CURLS: Part =
     Part { activity: Activity::Curls, duration_s: 5.0 / CURLS_HZ, ramp_s: SET_RAMP_S, rest_s: REST_S };
 const SQUATS: Part = Part { activity: Activity::Squats, duration_s: 5.0 / SQUATS_HZ, ..CURLS };
 /// No set, so nobody rests after it.
 const REACHES: Part = Part { activity: Activity::Reaching, duration_s: 14.0, ramp_s: RAMP_S, rest_s: 0.0 };
+const LAP: Part = Part { activity: Activity::Lap, duration_s: LAP_S, ramp_s: SET_RAMP_S, rest_s: 3.0 };
 const REST_S: f64 = 5.0;
+/// Steps of a lap, of half a leg each, and how long it takes, s.
+const LAP_STEPS: i64 = 16;
+const LAP_S: f64 = RAMP_S + (LAP_STEPS as f64 + Path::END - Path::BEGIN) / STEPS_HZ;
 /// How far somebody who rests sways, rad.
 const SWAY_RAD: f64 = 0.015;
 /// Before the first one stands still, as everybody does who switches sensors on, s.
@@ -170,7 +177,9 @@ impl Script {
     /// Whether any part of the right and of the left foot is on the floor at that time; `None` in what has no floor.
     pub fn contacts(&self, t_s: f64) -> Option<[bool; 2]> {
         let t = t_s - self.activity_s();
-        self.activity.path().map(|_| Path::contacts(steps_after(t.max(0.0))))
+        // They do not depend on the person's size.
+        let path = self.activity.path(&Build::of_height(1.0))?;
+        Some(path.contacts(self.activity.steps(t.max(0.0))))
     }
 
     /// The posture at `t_s` seconds of the script, any time; before 0 the person stands in an N-pose.
@@ -205,11 +214,22 @@ impl Script {
 
 impl Activity {
     /// Where somebody walks whose feet stay where they stand.
-    fn path(self) -> Option<Path> {
+    fn path(self, build: &Build) -> Option<Path> {
         match self {
-            Activity::Strolling => Some(Path { step: 0.55, curvature_per_m: 0.5, rise_m: 0.0 }),
-            Activity::Climbing => Some(Path { step: 0.32, curvature_per_m: 0.0, rise_m: 0.17 }),
+            Activity::Strolling => Some(Path { step: 0.55, curvature_per_m: 0.5, rise_m: 0.0, last: None }),
+            Activity::Climbing => Some(Path { step: 0.32, curvature_per_m: 0.0, rise_m: 0.17, last: None }),
+            Activity::Lap => Some(Path::lap(0.5, LAP_STEPS, build)),
             _ => None,
+        }
+    }
+
+    /// Steps along its [`Path`] after so long, s: who comes back to a stand does so as slowly as it began.
+    fn steps(self, t: f64) -> f64 {
+        match self {
+            Activity::Lap if t > 0.5 * LAP_S => {
+                LAP_STEPS as f64 + Path::END + Path::BEGIN - steps_after((LAP_S - t).max(0.0))
+            }
+            _ => steps_after(t),
         }
     }
 
@@ -333,8 +353,8 @@ impl Activity {
                 p.spine = [0.08 * rise(0.05, 0.0), 0.04 * wave(0.06, 0.4), 0.06 * wave(0.04, 1.0)]
                     .map(|a| grow * a);
             }
-            Activity::Strolling | Activity::Climbing => {
-                self.path().into_iter().for_each(|path| path.walk(p, steps_after(t), build));
+            Activity::Strolling | Activity::Climbing | Activity::Lap => {
+                self.path(build).into_iter().for_each(|path| path.walk(p, self.steps(t), build));
             }
             Activity::Poses => hold_t_pose(p, t.rem_euclid(POSES_S), POSE_S),
             Activity::Bends => pose_and_move(p, t, &BENDS),
@@ -342,18 +362,23 @@ impl Activity {
             Activity::Workout => {
                 let round_s: f64 = WORKOUT.iter().map(|part| part.duration_s + part.rest_s).sum();
                 let mut at = (t - LEAD_S).rem_euclid(round_s);
+                let mut stands = 1.0;
                 for Part { activity, duration_s, ramp_s, rest_s } in WORKOUT {
                     if (0.0..duration_s).contains(&at) {
-                        activity.act(p, at, Self::swell_within(ramp_s, at, duration_s), build);
+                        let swell = Self::swell_within(ramp_s, at, duration_s);
+                        activity.act(p, at, swell, build);
+                        if activity == Activity::Lap {
+                            stands = 1.0 - swell;
+                        }
                     }
                     at -= duration_s + rest_s;
                 }
                 // Nobody stands like a post: to and fro about the ankles, and breath.
-                let lean = grow * SWAY_RAD * wave(0.23, 0.0);
+                let lean = grow * stands * SWAY_RAD * wave(0.23, 0.0);
                 let (s, c) = libm::sincos(p.pelvis[0]);
                 p.pelvis[1] += lean;
                 p.pelvis_m += Vector3::new(c, s, 0.0) * (lean * p.pelvis_m.z);
-                p.spine[0] += grow * SWAY_RAD * wave(0.27, 1.0);
+                p.spine[0] += grow * stands * SWAY_RAD * wave(0.27, 1.0);
             }
         }
     }

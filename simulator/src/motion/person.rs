@@ -15,7 +15,7 @@ pub struct Person {
     /// What the person does: `walking`, `reaching`, `curls`, `squats`, what a calibration asks for (`poses`: N-pose and T-pose in
     /// turn, 3 s each, for `how = "quick"`; `bends`: a T-pose, then elbows, knees, hips and a bow, for `full`; `movements`: a T-pose,
     /// then limb after limb and the trunk, for `assign`), or `workout` (three sets of five curls,
-    /// reaches, three sets of five squats, with rests between: two minutes).
+    /// reaches, three sets of five squats, with rests between, and a `lap` about the room: two minutes and a quarter).
     pub activity: Activity,
     /// Whether a calibration comes first: poses and movements, 88 s.
     pub calibration: bool,

@@ -358,6 +358,12 @@ impl Unit for SlimeVr {
                     self.emit(chassis, t, k, &packet);
                 }
             }
+            (Fault::Button { .. }, Some(k)) => {
+                let packet = self.trackers[k].packet(21, &[wire::YAW_RESET]);
+                if !self.is_quiet(chassis, k, t) {
+                    self.emit(chassis, t, k, &packet);
+                }
+            }
             (Fault::LowBattery { .. }, Some(k)) => {
                 self.trackers[k].level = 0.05;
                 self.trackers[k].next_battery = t;

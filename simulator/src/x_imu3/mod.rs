@@ -327,6 +327,11 @@ impl Unit for XImu3 {
                     self.send_text(chassis, t, k, b'F', &format!("Error {code}."));
                 }
             }
+            (Fault::Button { .. }, Some(k)) => {
+                if chassis.is_on() {
+                    self.send_text(chassis, t, k, b'N', "Button pressed.");
+                }
+            }
             (Fault::LowBattery { .. }, Some(k)) => {
                 self.members[k].battery_percent = 3.0;
                 if chassis.is_on() {

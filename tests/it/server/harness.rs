@@ -143,6 +143,7 @@ pub(crate) fn estimate(frame: u64) -> Estimate {
         measured: Some(Measured {
             t_valid,
             position_m: Some(position_m),
+            clipped: false,
             orientation_wxyz: Some(orientation_wxyz),
             button: None,
             inertial: None,

@@ -100,6 +100,7 @@ mod tests {
             let measured = Measured {
                 t_valid,
                 position_m: Some([f64::from(second), 2.0, 3.0]),
+                clipped: false,
                 orientation_wxyz: None,
                 button: None,
                 inertial: None,

@@ -79,7 +79,7 @@ pub struct Detector {
     repetition: Repetition<MeasuredPose>,
     /// How the latest measurement was repaired; kept while there is no prediction to judge by.
     mirror: Option<Mirror>,
-    /// Where it was last inside its gate, repaired if need be, device axes, m.
+    /// Where it was last inside its gate, repaired if need be, or known to be since, device axes, m.
     last_m: Option<Vector3<f64>>,
     /// It has been inside its gate once.
     tracked: bool,
@@ -95,6 +95,11 @@ impl Detector {
     pub fn after_break(&self) -> Self {
         let Self { mirror, last_m, tracked, .. } = *self;
         Self { mirror, last_m, tracked, ..Self::default() }
+    }
+
+    /// Something else knows where the sensor is, device axes, m: that says more of the side than where it was when it was lost.
+    pub fn known_at(&mut self, position_m: Vector3<f64>) {
+        self.last_m = Some(position_m);
     }
 
     /// Labels one measurement.

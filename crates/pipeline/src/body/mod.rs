@@ -36,6 +36,9 @@ const HANGS_RAD: f64 = 0.35;
 pub(super) struct BodyStage {
     #[state(keep)]
     skeleton: Skeleton,
+    /// Whether a tracker's button means that headings begin anew.
+    #[state(keep)]
+    resets_by_button: bool,
     wearing: [Option<SensorIndex>; SEGMENTS],
     trackers: Vec<BodyTracker>,
     epochs: Epochs,
@@ -103,6 +106,7 @@ impl BodyStage {
         };
         Ok(Some(Self {
             skeleton,
+            resets_by_button: body.reset_by_button,
             wearing: wearing(&imus, &trackers),
             tracked: Vec::with_capacity(trackers.len()),
             trackers,
@@ -227,6 +231,11 @@ impl BodyStage {
         self.on_body(sensor).any(|segment| filter.drifts(segment))
     }
 
+    /// Whether a tracker's button means that headings begin anew.
+    pub(super) fn resets_by_button(&self) -> bool {
+        self.resets_by_button
+    }
+
     /// The person looks so far to the left of the room's x, rad: the headings of this IMU, or of all, that no field tells begin anew. False where there is none.
     pub(super) fn reset_heading(&mut self, sensor: Option<SensorIndex>, heading_rad: f64) -> bool {
         let mut only = [false; SEGMENTS];
@@ -241,6 +250,17 @@ impl BodyStage {
         BodySegment::ALL.into_iter().filter(move |segment| match (imus[segment.index()], sensor) {
             (Some(worn), Some(asked)) => worn == asked,
             (worn, _) => worn.is_some(),
+        })
+    }
+
+    /// Where the feet have brought the trackers that the body wears since those were heard, room, m, as of the latest body: empty while they say where it is,
+    /// and before they ever have.
+    pub(super) fn brought_by_feet(&self) -> impl Iterator<Item = (SensorIndex, Vector3<f64>)> {
+        let goes = self.pelvis_m.is_some() && self.out.position_source == PositionSource::Feet;
+        self.trackers.iter().filter(move |_| goes).filter_map(|tracker| {
+            let segment = &self.out.segments[tracker.segment.index()];
+            let at = isometry(segment.position_m?, segment.orientation_wxyz?)?;
+            Some((tracker.sensor, (at * tracker.segment_from_sensor).translation.vector))
         })
     }
 

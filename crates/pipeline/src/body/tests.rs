@@ -73,6 +73,7 @@ impl Rig {
             let measured = inertial.map(|_| Measured {
                 t_valid,
                 position_m: None,
+                clipped: false,
                 orientation_wxyz: None,
                 button: None,
                 inertial,

@@ -11,7 +11,14 @@ fn stamp(t_ms: f64) -> Stamp {
 }
 
 fn measured(t_ms: f64) -> Measured {
-    Measured { t_valid: ms(t_ms), position_m: None, orientation_wxyz: None, button: None, inertial: None }
+    Measured {
+        t_valid: ms(t_ms),
+        position_m: None,
+        clipped: false,
+        orientation_wxyz: None,
+        button: None,
+        inertial: None,
+    }
 }
 
 /// Devices of 100 Hz with one sensor each, unless said otherwise.

@@ -214,6 +214,7 @@ mod tests {
         let measured = Measured {
             t_valid: Timestamp::ZERO,
             position_m: None,
+            clipped: false,
             orientation_wxyz: None,
             button: Some(button),
             inertial: None,

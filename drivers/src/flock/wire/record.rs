@@ -79,6 +79,15 @@ pub struct Record {
     pub address: Option<u8>,
 }
 
+impl Record {
+    /// Whether a coordinate is at the end of the words' range.
+    pub fn is_clipped(&self, range: Range) -> bool {
+        // The last of 8192 steps is the end; that halves a step is for what was rounded.
+        let end_m = range.metres() * (1.0 - 1.5 / 8192.0);
+        self.position_m.is_some_and(|position_m| position_m.iter().any(|at_m| at_m.abs() >= end_m))
+    }
+}
+
 /// Why bytes are no record.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum RecordError {

@@ -127,8 +127,12 @@ impl Line {
                     split: false,
                     after_loss: false,
                 };
-                let measurement =
-                    Measurement::Pose { position_m: None, orientation_wxyz: None, button: None };
+                let measurement = Measurement::Pose {
+                    position_m: None,
+                    clipped: false,
+                    orientation_wxyz: None,
+                    button: None,
+                };
                 let t_device = DeviceTime::Cycle(cycle);
                 samples.push((Sample { address: bird as u16 + 1, arrival, t_device, measurement }, truth));
             }

@@ -35,6 +35,7 @@ pub(super) fn sample(
         split: false,
         after_loss: false,
     };
-    let measurement = Measurement::Pose { position_m: None, orientation_wxyz: None, button: None };
+    let measurement =
+        Measurement::Pose { position_m: None, clipped: false, orientation_wxyz: None, button: None };
     Sample { address, arrival, t_device, measurement }
 }
