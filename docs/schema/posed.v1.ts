@@ -724,6 +724,8 @@ export type FigureMessage = {
   heading_sigma_deg: number | null;
   /** The joints between them. */
   joints: JointEntry[];
+  /** Standard deviation of the position along each level axis, m: by trackers, or from where they were heard last, or where it began, by the feet; null where nobody knows how far it has gone. */
+  position_sigma_m: number | null;
   /** Where the position comes from. */
   position_source: PositionSource;
   /** The segments, parents and children by the skeleton of the stage. */

@@ -138,6 +138,13 @@ pub enum Fault {
         /// When, s.
         at_s: f64,
     },
+    /// Somebody taps an IMU of an Xbus device twice, within a quarter of a second.
+    DoubleTap {
+        /// Which unit.
+        address: u16,
+        /// When, s.
+        at_s: f64,
+    },
     /// A unit comes from another network address.
     AddressChange {
         /// Which unit.
@@ -199,6 +206,7 @@ impl Fault {
             Self::WrongOutput { .. } => "wrong-output",
             Self::LowBattery { .. } => "low-battery",
             Self::Button { .. } => "button",
+            Self::DoubleTap { .. } => "double-tap",
             Self::AddressChange { .. } => "address-change",
             Self::LostDatagrams(_) => "lost-datagrams",
             Self::DuplicatedDatagrams(_) => "duplicated-datagrams",
@@ -226,6 +234,7 @@ impl Fault {
             | Self::LostPeriods { at_s, .. }
             | Self::LowBattery { at_s, .. }
             | Self::Button { at_s, .. }
+            | Self::DoubleTap { at_s, .. }
             | Self::AddressChange { at_s, .. } => (at_s, at_s),
             Self::Unplug { at_s, duration_s, .. }
             | Self::BirdDies { at_s, duration_s, .. }
@@ -260,6 +269,7 @@ impl Fault {
             | Self::Error { address, .. }
             | Self::LowBattery { address, .. }
             | Self::Button { address, .. }
+            | Self::DoubleTap { address, .. }
             | Self::AddressChange { address, .. } => Some(address),
             _ => None,
         }
@@ -279,6 +289,7 @@ impl Fault {
                 | Self::WrongOutput { .. }
                 | Self::LowBattery { .. }
                 | Self::Button { .. }
+                | Self::DoubleTap { .. }
                 | Self::AddressChange { .. }
         )
     }

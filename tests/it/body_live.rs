@@ -105,7 +105,8 @@ impl SimulatedBody {
     /// True segments at a time: from the truth of the sensors on them.
     fn truth(&self, rig: &Rig, t_s: f64) -> [Option<Isometry3<f64>>; SEGMENTS] {
         // The cycles before and after it, of each sensor.
-        let mut around: [[Option<(f64, Isometry3<f64>)>; 2]; SEGMENTS] = [[None; 2]; SEGMENTS];
+        type Seen = Option<(f64, Isometry3<f64>)>;
+        let mut around: [[Seen; 2]; SEGMENTS] = [[None; 2]; SEGMENTS];
         for cycle in &rig.host.truth {
             let off_s = cycle.t.as_secs_f64() - t_s;
             for row in &cycle.sensors {
@@ -188,6 +189,7 @@ fn who_strolls_gets_as_far_as_the_feet_bring_him() {
     let (begun_m, begun_truth_m) = places_m(all[0]);
     let mut way_m = 0.0;
     let mut last_m = begun_truth_m;
+    let (mut nees, mut count) = (0.0, 0.0);
     for body in all.iter().step_by(20) {
         assert_eq!(body.position_source, PositionSource::Feet);
         let (found_m, truth_m) = places_m(body);
@@ -195,7 +197,15 @@ fn who_strolls_gets_as_far_as_the_feet_bring_him() {
         last_m = truth_m;
         let off_m = (found_m - begun_m) - (truth_m - begun_truth_m);
         assert!(off_m.norm() < 0.25, "{off_m} of {way_m} m");
+        nees += off_m.xy().norm_squared() / (2.0 * body.position_sigma_m.unwrap().powi(2));
+        count += 1.0;
     }
+    let last_sigma_m = all.last().unwrap().position_sigma_m.unwrap();
+    println!(
+        "normalised error squared of the place {:.2}, stated at the end {last_sigma_m:.3} m",
+        nees / count
+    );
+    assert!((0.05..2.0).contains(&(nees / count)) && last_sigma_m > 0.08, "{nees} {count} {last_sigma_m}");
     assert!(way_m > 8.0, "{way_m}");
     for foot in 0..2 {
         let contacts = || all.iter().filter_map(|body| Some(body.contacts?[foot]));
@@ -466,12 +476,20 @@ fn who_looks_ahead_resets_the_heading() {
 fn a_press_on_a_tracker_resets_the_heading() {
     let posing =
         || Person { activity: Activity::Poses, height_m: HEIGHT_M, heading_deg: 40.0, ..Person::default() };
-    for (device, asks) in [(X_IMU3, true), (X_IMU3, false), (SLIMEVR, true)] {
+    for (device, asks) in [(X_IMU3, true), (X_IMU3, false), (SLIMEVR, true), (XBUS, true), (XBUS, false)] {
         let address = |n: u16| if device == X_IMU3 { n + 20 } else { n };
+        let on_torso = address(1 + BodySegment::Torso.index() as u16);
         let mut simulated = simulated(device, &BodySegment::ALL, address, posing());
         simulated.stage.sensors.iter_mut().for_each(|sensor| sensor.magnetometer = false);
         simulated.stage.body.as_mut().unwrap().reset_by_button = asks && device == X_IMU3;
-        simulated.scenario.devices[0].faults.push(Fault::Button { address: address(3), at_s: 4.0 });
+        let asked = match device {
+            XBUS => Fault::DoubleTap { address: on_torso, at_s: 3.95 },
+            _ => Fault::Button { address: on_torso, at_s: 4.5 },
+        };
+        simulated.scenario.devices[0].faults.push(asked);
+        if asks && device == XBUS {
+            simulated.stage.body.as_mut().unwrap().reset_by_double_tap = Some("torso".into());
+        }
         let mut rig = simulated.run(3.0);
         let ahead_deg = |rig: &Rig| {
             let forward = q(bodies(rig).last().unwrap(), BodySegment::Pelvis) * Vector3::x();
@@ -481,7 +499,7 @@ fn a_press_on_a_tracker_resets_the_heading() {
         rig.pipeline.push(&Entry { t: rig.host.now, input: Input::Request(turned) }, &mut |_| {});
         rig.run_until(3.9);
         assert!((ahead_deg(&rig) - 40.0).abs() < 3.0, "{device}: {}", ahead_deg(&rig));
-        rig.run_until(4.5);
+        rig.run_until(5.2);
         let expected_deg = if asks { 0.0 } else { 40.0 };
         assert!((ahead_deg(&rig) - expected_deg).abs() < 3.0, "{device}: {}", ahead_deg(&rig));
         let said = |emitted: &Said| matches!(emitted, Said::Warning(_, text) if text.contains("asked for on a tracker"));
@@ -582,6 +600,7 @@ fn the_demos_person_walks_about_the_room_on_its_feet() {
         furthest_m = furthest_m.max((truth[at].1 - truth[0].1).norm());
         if body.position_source == PositionSource::Feet {
             by_feet_s += 0.01;
+            assert!(off_m < 3.0 * body.position_sigma_m.unwrap() + 0.01, "{off_m:.3} m at {t_s:.2} s");
             for (seen, contact) in stands.iter_mut().zip(body.contacts.unwrap()) {
                 seen[usize::from(contact > 0.5)] = true;
             }

@@ -55,6 +55,7 @@ impl ChainStage {
                 heading: Heading::Unknown,
                 heading_sigma_rad: None,
                 position_source: PositionSource::Origin,
+                position_sigma_m: None,
                 contacts: None,
                 segments: vec![SegmentEstimate::default(); imus.len()],
                 angles_rad: [None; ANGLES],

@@ -261,6 +261,9 @@ impl Pipeline {
             Input::Truth(truth) => emit(Output::Truth(truth)),
         }
         self.close_frames(emit);
+        if let Some(sensor) = self.body.as_mut().and_then(|body| body.take_tapped()) {
+            self.asked_on_a_tracker(self.sensors[usize::from(sensor)].device(), emit);
+        }
     }
 
     /// Host time at which to push [`Input::Timer`] if nothing else comes before, possibly past already; `None`: nothing is due.

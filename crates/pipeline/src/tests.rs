@@ -243,6 +243,7 @@ fn where_a_body_is_put_is_no_movement() {
             heading: Heading::Field,
             heading_sigma_rad: Some(0.02),
             position_source,
+            position_sigma_m: Some(0.02),
             contacts: None,
             segments: skeleton.origins_m(&standing, pelvis_m).iter().map(segment).collect(),
             angles_rad: [None; ANGLES],

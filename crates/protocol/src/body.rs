@@ -28,12 +28,14 @@ impl Serialize for FigureBody<'_> {
             Heading::Field => (HeadingSource::Field, 0.0),
             Heading::Held(held_s) => (HeadingSource::Held, held_s),
         };
-        let mut figure = serializer.serialize_struct("Figure", 8)?;
+        let mut figure = serializer.serialize_struct("Figure", 9)?;
         figure.serialize_field("t_s", &self.stamp.t_s())?;
         figure.serialize_field("heading", &source)?;
         figure.serialize_field("heading_held_s", &round::to(round::RATE, held_s))?;
         figure.serialize_field("heading_sigma_deg", &self.body.heading_sigma_rad.map(degrees))?;
         figure.serialize_field("position_source", &self.body.position_source)?;
+        let sigma_m = self.body.position_sigma_m.map(|sigma_m| round::to(round::POSITION, sigma_m));
+        figure.serialize_field("position_sigma_m", &sigma_m)?;
         let contacts = self.body.contacts.map(|contacts| round::each(round::PROBABILITY, contacts));
         figure.serialize_field("contacts", &contacts.map(|[foot_r, foot_l]| Contacts { foot_r, foot_l }))?;
         figure.serialize_field("segments", &SegmentViews(self))?;

@@ -188,6 +188,7 @@ mod tests {
             heading,
             heading_sigma_rad: Some(0.02),
             position_source,
+            position_sigma_m: Some(0.02),
             contacts: None,
             segments: Vec::new(),
             angles_rad,

@@ -250,6 +250,7 @@ mod tests {
             heading: Heading::Held(1.25),
             heading_sigma_rad: Some(0.02),
             position_source: PositionSource::Trackers,
+            position_sigma_m: Some(0.02),
             contacts: None,
             segments: vec![SegmentEstimate::default(); SEGMENTS],
             angles_rad: [None; ANGLES],

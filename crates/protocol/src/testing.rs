@@ -25,6 +25,7 @@ pub(crate) fn body(t_ms: i64, orientations: &[UnitQuaternion<f64>; SEGMENTS]) ->
         heading: Heading::Field,
         heading_sigma_rad: Some(0.02),
         position_source: PositionSource::Trackers,
+        position_sigma_m: Some(0.02),
         contacts: None,
         segments,
         angles_rad: [None; ANGLES],

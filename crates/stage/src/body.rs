@@ -60,6 +60,8 @@ pub struct Body {
     /// Whether the button of a tracker means: I look ahead, begin the headings anew.
     #[serde(default)]
     pub reset_by_button: bool,
+    /// The segment whose IMU means the same where it is tapped twice, and twice only, by somebody who keeps still; absent: none.
+    pub reset_by_double_tap: Option<String>,
     /// Segments of a custom skeleton, parents first.
     #[serde(default)]
     pub segments: Vec<SegmentSpec>,

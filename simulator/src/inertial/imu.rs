@@ -62,6 +62,8 @@ pub(crate) struct Imu {
     filter: FilterError,
     random: Random,
     sampling: Sampling,
+    /// When it was tapped, s.
+    taps_s: Vec<f64>,
     last: Option<Timestamp>,
 }
 
@@ -76,6 +78,7 @@ impl Imu {
             earth,
             random,
             sampling: Sampling::Instantaneous,
+            taps_s: Vec::new(),
             last: None,
         }
     }
@@ -83,6 +86,20 @@ impl Imu {
     /// The same, of which each sample is of this kind.
     pub(crate) fn sampled(self, sampling: Sampling) -> Self {
         Self { sampling, ..self }
+    }
+
+    /// Somebody taps it at `t`, along its z axis.
+    pub(crate) fn tap(&mut self, t: Timestamp) {
+        self.taps_s.push(t.as_secs_f64());
+    }
+
+    /// What the taps add to the specific force at a time, s, along z, m/s²: each rings at 35 Hz and dies away in 15 ms, as a unit in its strap does.
+    fn tapped_m_s2(&self, t_s: f64) -> f64 {
+        let rings = |at_s: &f64| {
+            let since_s = t_s - at_s;
+            if since_s < 0.0 { 0.0 } else { 35.0 * libm::exp(-since_s / 0.015) * libm::cos(220.0 * since_s) }
+        };
+        self.taps_s.iter().map(rings).sum()
     }
 
     /// Pose, angular velocity and specific force at `t`.
@@ -117,7 +134,8 @@ impl Imu {
         let at = |back_s: f64| {
             let t = Timestamp::from_secs_f64((t.as_secs_f64() - back_s).max(0.0));
             let truth = self.kinematics(t);
-            [truth.angular_velocity_rad_s, truth.specific_force_m_s2]
+            let tapped_m_s2 = Vector3::z() * self.tapped_m_s2(t.as_secs_f64());
+            [truth.angular_velocity_rad_s, truth.specific_force_m_s2 + tapped_m_s2]
         };
         match self.sampling {
             Sampling::Instantaneous => at(0.0),

@@ -248,6 +248,12 @@ impl Unit for Xbus {
                 self.wrong_until = Some(Timestamp::from_secs_f64(end_s.min(1e9)));
             }
             Fault::BirdDies { .. } => {}
+            Fault::DoubleTap { address, .. } => {
+                let tracker = self.trackers.iter_mut().find(|tracker| tracker.address == address);
+                let Some(imu) = tracker.and_then(|tracker| tracker.imu.as_mut()) else { return false };
+                imu.tap(t);
+                imu.tap(t + Duration::from_millis(250));
+            }
             _ => return false,
         }
         true

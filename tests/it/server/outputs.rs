@@ -28,6 +28,7 @@ fn body(t_ms: i64) -> Body {
         heading,
         heading_sigma_rad: Some(0.02),
         position_source,
+        position_sigma_m: Some(0.02),
         contacts: None,
         segments: vec![segment; SEGMENTS],
         angles_rad: [None; ANGLES],

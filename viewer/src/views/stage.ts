@@ -104,7 +104,7 @@ export class StageView implements View {
     // Head, hands and feet that wear nothing are not counted.
     const worn = body.segments.filter(({ sensor, state }) => sensor !== null || state === "missing").length;
     const heading = body.heading === "held" ? `, heading held for ${body.heading_held_s.toFixed(0)} s (± ${(2 * (body.heading_sigma_deg ?? 180)).toFixed(0)}°)` : "";
-    const place = { trackers: "", feet: ", place by its feet", held: ", place as last seen", origin: ", place not known" }[body.position_source];
+    const place = { trackers: "", feet: `, place by its feet (± ${(200 * (body.position_sigma_m ?? 0)).toFixed(0)} cm)`, held: ", place as last seen", origin: ", place not known" }[body.position_source];
     setText(this.bodySummary, `body: ${good} of ${worn} segments measured${heading}${place}`);
   }
 

@@ -59,13 +59,22 @@ impl Recent {
     /// The body, which comes before the estimate of its frame.
     fn body(&mut self, body: &Body) {
         let Body {
-            t_valid, heading, heading_sigma_rad, position_source, contacts, angles_rad, spread, ..
+            t_valid,
+            heading,
+            heading_sigma_rad,
+            position_source,
+            position_sigma_m,
+            contacts,
+            angles_rad,
+            spread,
+            ..
         } = *body;
         self.body = Some(Body {
             t_valid,
             heading,
             heading_sigma_rad,
             position_source,
+            position_sigma_m,
             contacts,
             segments: Vec::new(),
             angles_rad,

@@ -29,6 +29,7 @@ mod places;
 mod posture;
 mod skeleton;
 mod spread;
+mod taps;
 #[cfg(test)]
 mod tests;
 mod travel;
@@ -51,6 +52,7 @@ pub use places::{Misplaced, Places, Trackers};
 pub use posture::orientations;
 pub use skeleton::{BodySegment, Limb, SEGMENTS, Skeleton, completed, upright};
 pub use spread::{AngleSpread, independent};
+pub use taps::DoubleTap;
 pub use travel::Travel;
 pub use whole::{WHOLE, WholeSegment, t_pose, whole, whole_t_pose};
 
@@ -303,9 +305,10 @@ impl BodyFilter {
             }
         }
         self.publish(&orientations, &bases, dt_s);
+        let heading_rad = self.estimate.heading_sigma_rad;
         self.estimate.travel = match self.legs(samples) {
-            Some(legs) => Some(self.travel.push(&legs, dt_s)),
-            None => self.travel.pause(),
+            Some(legs) => Some(self.travel.push(&legs, heading_rad, dt_s)),
+            None => self.travel.pause(heading_rad),
         };
         &self.estimate
     }

@@ -54,6 +54,12 @@ const LEVEL_M: f64 = 0.005;
 /// What is known of the velocity at first, m/s.
 const START_M_S: f64 = 1.0;
 
+/// What is known of the place where something else says where the hips are, m; what each step adds at random, m; and what lengths of legs that are a little
+/// wrong make of the way, as a share.
+const PLACED_M: f64 = 0.02;
+const PER_STEP_M: f64 = 0.02;
+const LENGTHS: f64 = 0.015;
+
 /// States of an axis: position and velocity of the pelvis's sensor, lasting error of its acceleration, and both footholds.
 const STATES: usize = 5;
 const POSITION: usize = 0;
@@ -66,6 +72,9 @@ const FEET: [usize; 2] = [3, 4];
 pub struct Travel {
     /// The hips' mid-point, room, m.
     pub pelvis_m: Vector3<f64>,
+    /// Standard deviation of each level axis of it, m, from where something else said last where it is, or else from where it began. Where the legs are not
+    /// known it is that of before.
+    pub sigma_m: f64,
     /// How likely the right and the left foot stand, 0 to 1; `None` while a segment of the legs is not known: the body stays where it was.
     pub contacts: Option<[f64; 2]>,
 }
@@ -110,6 +119,9 @@ pub(super) struct TravelFilter {
     risen_m: f64,
     /// For so long no foot has stood, s.
     aloft_s: f64,
+    /// Where it was placed last, or began, room, m, and how many steps were made since.
+    placed_m: Vector3<f64>,
+    steps: f64,
 }
 
 impl TravelFilter {
@@ -126,11 +138,13 @@ impl TravelFilter {
             floor_m: 0.0,
             risen_m: 0.0,
             aloft_s: 0.0,
+            placed_m: Vector3::zeros(),
+            steps: 0.0,
         }
     }
 
-    /// Takes the legs of one time, `dt_s` after the last, s.
-    pub(super) fn push(&mut self, legs: &Legs, dt_s: f64) -> Travel {
+    /// Takes the legs of one time, `dt_s` after the last, s; their headings are known to `heading_rad` (standard deviation).
+    pub(super) fn push(&mut self, legs: &Legs, heading_rad: f64, dt_s: f64) -> Travel {
         if !self.begun {
             let height_m = self.foot_m - lower_m(&legs.ankles_m);
             self.place_at(Vector3::new(0.0, 0.0, height_m), legs.sensor_m);
@@ -184,7 +198,16 @@ impl TravelFilter {
         if self.aloft_s > JUMP_S {
             self.land(&ankles_m);
         }
-        Travel { pelvis_m: self.sensor_m() - legs.sensor_m, contacts: Some(self.contacts) }
+        let pelvis_m = self.sensor_m() - legs.sensor_m;
+        Travel { pelvis_m, sigma_m: self.sigma_m(&pelvis_m, heading_rad), contacts: Some(self.contacts) }
+    }
+
+    /// Of a place that feet have brought the hips to: a random walk of steps, and a way whose length and direction are a little wrong. What of these goes
+    /// round comes back.
+    fn sigma_m(&self, pelvis_m: &Vector3<f64>, heading_rad: f64) -> f64 {
+        let away_m = (pelvis_m - self.placed_m).xy().norm();
+        let way_m2 = (LENGTHS * LENGTHS + heading_rad * heading_rad) * away_m * away_m;
+        (PLACED_M * PLACED_M + self.steps * PER_STEP_M * PER_STEP_M + way_m2).sqrt()
     }
 
     /// Something else says where the hips' mid-point is, room, m; `sensor_m` from there to the pelvis's sensor.
@@ -198,16 +221,18 @@ impl TravelFilter {
         }
         self.begun = true;
         self.sensor_from_hips_m = sensor_m;
+        (self.placed_m, self.steps) = (pelvis_m, 0.0);
     }
 
     /// A segment of the legs is not known at this time: the body stays where it is, and begins anew from there. `None` before it has begun.
-    pub(super) fn pause(&mut self) -> Option<Travel> {
+    pub(super) fn pause(&mut self, heading_rad: f64) -> Option<Travel> {
         if self.ankles_m.take().is_some() {
             let at_m = self.sensor_m();
             self.axes = [0, 1, 2].map(|k| Axis::new(at_m[k]));
             self.contacts = [0.5; 2];
         }
-        self.begun.then(|| Travel { pelvis_m: self.sensor_m() - self.sensor_from_hips_m, contacts: None })
+        let pelvis_m = self.sensor_m() - self.sensor_from_hips_m;
+        self.begun.then(|| Travel { pelvis_m, sigma_m: self.sigma_m(&pelvis_m, heading_rad), contacts: None })
     }
 
     fn sensor_m(&self) -> Vector3<f64> {
@@ -220,6 +245,7 @@ impl TravelFilter {
             axis.begin(FEET[side], ankle_m[k]);
         }
         self.stood_s[side] = 0.0;
+        self.steps += 1.0;
     }
 
     /// No foot has stood for longer than anybody jumps: who sits on wheels, or whose feet are not seen to stand, is about where and as high as before.

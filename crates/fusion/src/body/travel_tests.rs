@@ -85,7 +85,7 @@ fn who_squats_stays_and_who_floats_does_not_fly_off() {
     for frame in 0..60_000 {
         let swing = libm::sin(f64::from(frame) * 0.2);
         legs.ankles_m.iter_mut().for_each(|ankle_m| ankle_m.x = 0.1 * swing);
-        let travel = filter.push(&legs, 0.01);
+        let travel = filter.push(&legs, 0.02, 0.01);
         assert!((travel.pelvis_m - Vector3::new(0.0, 0.0, 0.97)).norm() < 3.0, "{frame} {travel:?}");
     }
 }

@@ -16,8 +16,8 @@ use self::epochs::{Epoch, Epochs};
 use super::PipelineError;
 use crate::frame::Frame;
 use posed_fusion::body::{
-    ANGLES, AngleSpread, BodyEstimate, BodyFilter, BodyParams, BodySegment, Figure, Follower, Heading,
-    SEGMENTS, SensorMount, Skeleton, Tracked, angles,
+    ANGLES, AngleSpread, BodyEstimate, BodyFilter, BodyParams, BodySegment, DoubleTap, Figure, Follower,
+    Heading, SEGMENTS, SensorMount, Skeleton, Tracked, angles,
 };
 use posed_fusion::faults::Cause;
 use posed_geometry::{isometry, orientation_from_wxyz, orientation_to_wxyz};
@@ -26,6 +26,8 @@ use posed_stage::layout::{Wearers, skeleton_of};
 use posed_stage::output::{Body, Estimate, PoseEstimate, PositionSource, SegmentEstimate, SegmentState};
 use posed_stage::{Mounting, Stage};
 
+/// Expected error of the hips' place by trackers, along an axis, m: what lies between is posture.
+const TRACKED_M: f64 = 0.02;
 /// Expected error of a segment that trackers show, and of one between them, rad.
 const TRACKED_RAD: f64 = 0.05;
 const BETWEEN_RAD: f64 = 0.15;
@@ -39,6 +41,12 @@ pub(super) struct BodyStage {
     /// Whether a tracker's button means that headings begin anew.
     #[state(keep)]
     resets_by_button: bool,
+    /// The segment whose sensor is tapped for the same, if any.
+    #[state(keep)]
+    tapped: Option<BodySegment>,
+    taps: DoubleTap,
+    /// The sensor that was tapped since somebody asked.
+    tapped_now: Option<SensorIndex>,
     wearing: [Option<SensorIndex>; SEGMENTS],
     trackers: Vec<BodyTracker>,
     epochs: Epochs,
@@ -107,6 +115,9 @@ impl BodyStage {
         Ok(Some(Self {
             skeleton,
             resets_by_button: body.reset_by_button,
+            tapped: body.reset_by_double_tap.as_deref().and_then(BodySegment::named),
+            taps: DoubleTap::default(),
+            tapped_now: None,
             wearing: wearing(&imus, &trackers),
             tracked: Vec::with_capacity(trackers.len()),
             trackers,
@@ -118,6 +129,7 @@ impl BodyStage {
                 heading: Heading::Unknown,
                 heading_sigma_rad: None,
                 position_source: PositionSource::Origin,
+                position_sigma_m: None,
                 contacts: None,
                 segments: vec![SegmentEstimate::default(); SEGMENTS],
                 angles_rad: [None; ANGLES],
@@ -132,10 +144,18 @@ impl BodyStage {
             Solver::Waiting => return None,
             Solver::Imus(filter) => {
                 let mut t = None;
+                let tapped = self.tapped.map(BodySegment::index);
+                let mut is_tapped = false;
                 self.epochs.frame(frame, |Epoch { t: at, dt_s, samples, ages_s }| {
                     filter.push_aged(samples, ages_s, *dt_s);
+                    if let Some(sample) = tapped.and_then(|segment| samples[segment].as_ref()) {
+                        is_tapped |= self.taps.push(sample, *dt_s);
+                    }
                     t = Some(*at);
                 });
+                if is_tapped {
+                    self.tapped_now = tapped.and_then(|segment| self.wearing[segment]);
+                }
                 self.out.t_valid = t?;
                 let found = filter.estimate().clone();
                 self.place(&found, estimate);
@@ -236,6 +256,11 @@ impl BodyStage {
         self.resets_by_button
     }
 
+    /// The sensor that was tapped twice since this was asked last, if any.
+    pub(super) fn take_tapped(&mut self) -> Option<SensorIndex> {
+        self.tapped_now.take()
+    }
+
     /// The person looks so far to the left of the room's x, rad: the headings of this IMU, or of all, that no field tells begin anew. False where there is none.
     pub(super) fn reset_heading(&mut self, sensor: Option<SensorIndex>, heading_rad: f64) -> bool {
         let mut only = [false; SEGMENTS];
@@ -319,6 +344,11 @@ impl BodyStage {
             (None, None) => (found.pelvis_m(&self.skeleton), PositionSource::Origin),
         };
         self.out.position_source = position_source;
+        self.out.position_sigma_m = match position_source {
+            PositionSource::Trackers => Some(TRACKED_M),
+            PositionSource::Feet => found.travel.map(|travel| travel.sigma_m),
+            PositionSource::Held | PositionSource::Origin => None,
+        };
         self.out.contacts = found.travel.and_then(|travel| travel.contacts);
         self.out.heading = found.heading;
         let is_known = found.heading != Heading::Unknown;
@@ -360,6 +390,7 @@ impl BodyStage {
     fn follow(&mut self, figure: &Figure) {
         let origins = self.skeleton.origins_m(&figure.orientations, figure.pelvis_m);
         self.out.position_source = PositionSource::Trackers;
+        self.out.position_sigma_m = Some(TRACKED_M);
         self.out.contacts = None;
         self.out.heading = Heading::Field;
         self.out.heading_sigma_rad = Some(TRACKED_RAD);

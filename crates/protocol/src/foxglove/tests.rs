@@ -78,6 +78,7 @@ fn figure() -> Body {
         heading: Heading::Field,
         heading_sigma_rad: Some(0.02),
         position_source: PositionSource::Trackers,
+        position_sigma_m: Some(0.02),
         contacts: None,
         segments: BodySegment::ALL.map(segment).into(),
         angles_rad: [Some(0.5); ANGLES],

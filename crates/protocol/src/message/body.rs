@@ -23,6 +23,10 @@ pub struct Figure {
     pub heading_sigma_deg: Option<f64>,
     /// Where the position comes from.
     pub position_source: PositionSource,
+    /// Standard deviation of the position along each level axis, m: by trackers, or from where they were heard last, or where it began, by the feet; null
+    /// where nobody knows how far it has gone.
+    #[serde(default)]
+    pub position_sigma_m: Option<f64>,
     /// How likely each foot stands; null unless sensors show the pelvis and both legs now.
     #[serde(default)]
     pub contacts: Option<Contacts>,

@@ -21,6 +21,9 @@ pub struct Body {
     pub heading_sigma_rad: Option<f64>,
     /// Where its position comes from.
     pub position_source: PositionSource,
+    /// Its standard deviation along each level axis, m: by trackers, or from where they were heard last, or where it began, by the feet. Absent where nobody
+    /// knows how far it has gone.
+    pub position_sigma_m: Option<f64>,
     /// How likely the right and the left foot stand, 0 to 1; absent unless sensors show the pelvis and both legs now.
     pub contacts: Option<[f64; 2]>,
     /// One per segment.
