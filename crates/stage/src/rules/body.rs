@@ -37,6 +37,16 @@ pub(super) fn check(root: &Item<'_, '_>, notes: &mut Notes<'_>) {
         SEGMENTS.to_vec()
     };
     body_sensors(&body, &sensors, &names, notes);
+    if custom {
+        for key in ["reset_by_button", "reset_by_double_tap"] {
+            if let Some(value) = body.get(key) {
+                let message = "the hinges of a custom skeleton hold their own headings";
+                notes.problem(&value.span(), key, message, "remove the key; it is for the human skeleton");
+            }
+        }
+    } else {
+        tapped(&body, &sensors, notes);
+    }
     calibrations(&body, &segments, custom, notes);
 }
 
@@ -123,21 +133,6 @@ fn tree(body: &Item<'_, '_>, segments: &[Item<'_, '_>], notes: &mut Notes<'_>) {
 
 fn body_sensors(body: &Item<'_, '_>, sensors: &[Item<'_, '_>], names: &[&str], notes: &mut Notes<'_>) {
     let given = body.text("mounting").is_some_and(|mounting| mounting.value == "given");
-    if let Some(tapped) = body.text("reset_by_double_tap") {
-        let sits = |sensor: &Item<'_, '_>| {
-            sensor
-                .text("segment")
-                .or(sensor.text("name"))
-                .is_some_and(|segment| segment.value == tapped.value)
-        };
-        if !names.contains(&tapped.value) {
-            let message = format!("there is no segment `{}`", tapped.value);
-            notes.problem(&tapped.at, "reset_by_double_tap", message, suggest(tapped.value, names, ""));
-        } else if !sensors.iter().any(sits) {
-            let message = format!("no sensor sits on `{}`", tapped.value);
-            notes.problem(&tapped.at, "reset_by_double_tap", message, "name a segment that wears an IMU");
-        }
-    }
     for sensor in sensors {
         let segment = sensor.text("segment");
         if let Some(segment) = segment.as_ref().filter(|segment| !names.contains(&segment.value)) {
@@ -162,6 +157,21 @@ fn body_sensors(body: &Item<'_, '_>, sensors: &[Item<'_, '_>], names: &[&str], n
                 }
             }
         }
+    }
+}
+
+/// The segment that is tapped wears a sensor.
+fn tapped(body: &Item<'_, '_>, sensors: &[Item<'_, '_>], notes: &mut Notes<'_>) {
+    let Some(tapped) = body.text("reset_by_double_tap") else { return };
+    let sits = |sensor: &Item<'_, '_>| {
+        sensor.text("segment").or(sensor.text("name")).is_some_and(|segment| segment.value == tapped.value)
+    };
+    if !SEGMENTS.contains(&tapped.value) {
+        let message = format!("there is no segment `{}`", tapped.value);
+        notes.problem(&tapped.at, "reset_by_double_tap", message, suggest(tapped.value, &SEGMENTS, ""));
+    } else if !sensors.iter().any(sits) {
+        let message = format!("no sensor sits on `{}`", tapped.value);
+        notes.problem(&tapped.at, "reset_by_double_tap", message, "name a segment that wears an IMU");
     }
 }
 
