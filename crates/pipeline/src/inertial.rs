@@ -470,6 +470,7 @@ mod tests {
         assert_eq!(unit.turning(20.0).1.verdict, Verdict::Suspect);
         let (_, finding, turned_rad) = unit.turning(22.0);
         assert_eq!(finding.verdict, Verdict::Used);
-        assert!((0.35..0.5).contains(&turned_rad), "{turned_rad} rad of 0.42");
+        // Of 0.31 by the trapezoid of all three; the record that was left out is missing.
+        assert!((0.2..0.4).contains(&turned_rad), "{turned_rad} rad of 0.31");
     }
 }
