@@ -82,8 +82,8 @@ impl Outbox {
         self.queue.push_back(Output::HeadingReset);
     }
 
-    pub(crate) fn pressed(&mut self, address: u16) {
-        self.queue.push_back(Output::Pressed(address));
+    pub(crate) fn pressed(&mut self) {
+        self.queue.push_back(Output::Pressed);
     }
 
     /// Warns, unless a warning of the same `kind` went out within the last ten seconds.

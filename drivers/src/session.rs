@@ -46,8 +46,8 @@ pub enum Output {
     StateChanged,
     /// Somebody asked on a tracker itself, in the way that it has for this, that headings begin anew.
     HeadingReset,
-    /// The button of the sensor at this address was pressed; what that means is not the driver's affair.
-    Pressed(u16),
+    /// The button of a sensor was pressed; what that means is not the driver's affair.
+    Pressed,
     /// Something the operator should know, in one sentence that states what to do.
     Warning(String),
 }

@@ -30,6 +30,11 @@ impl From<Sampled> for Sampling {
     }
 }
 
+/// The refusal of what was said of samples that are a recording's.
+pub(super) fn sampling_is_known() -> Error {
+    Error::Usage("--sampling is for tables: a recording's stage states it".into())
+}
+
 /// Moves the samples of each sensor to the middles of their intervals, where means are true.
 pub(super) fn centre(imu: &mut Imu) {
     for sensor in 0..imu.sensors.len() {

@@ -61,7 +61,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     }
     let sampling = match (args.sampling, stage) {
         (Some(_), Some(_)) => {
-            return Err(Error::Usage("--sampling is for tables: a recording's stage states it".into()));
+            return Err(imus::sampling_is_known());
         }
         (Some(sampling), None) => sampling.into(),
         (None, Some(_)) => Sampling::Instantaneous,

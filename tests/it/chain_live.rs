@@ -100,7 +100,7 @@ fn a_chain_is_calibrated_and_then_followed_as_well_as_a_file_of_it() {
         zero_live.to_degrees(),
         zero_file.to_degrees()
     );
-    assert!(count > 1500.0 && live < 2.0 && file < 1.5, "live {live}, file {file}, {count} bodies");
+    assert!(count > 1500.0 && live < 0.8 && file < 0.4, "live {live}, file {file}, {count} bodies");
     assert!(zero_live.to_degrees().abs() < 4.0, "{zero_live} rad");
     assert!((0.5..4.0).contains(&(expected / live)), "stated {expected}, is {live}");
 

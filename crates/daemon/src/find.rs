@@ -108,7 +108,7 @@ pub async fn ask(line: &mut Port<Stream>, kind: Kind, reset: bool) -> io::Result
                 Output::Sample(_)
                 | Output::StateChanged
                 | Output::HeadingReset
-                | Output::Pressed(_)
+                | Output::Pressed
                 | Output::Warning(_) => {}
             }
         }

@@ -364,12 +364,11 @@ impl Pipeline {
                 SessionOutput::Transmit(bytes) => emit(Output::Transmit { device, bytes: &bytes }),
                 SessionOutput::SetRts(asserted) => emit(Output::SetRts { device, asserted }),
                 SessionOutput::HeadingReset => self.asked_on_a_tracker(device, emit),
-                SessionOutput::Pressed(_)
-                    if self.body.as_ref().is_some_and(|body| body.resets_by_button()) =>
-                {
-                    self.asked_on_a_tracker(device, emit)
+                SessionOutput::Pressed => {
+                    if self.body.as_ref().is_some_and(|body| body.resets_by_button()) {
+                        self.asked_on_a_tracker(device, emit);
+                    }
                 }
-                SessionOutput::Pressed(_) => {}
                 SessionOutput::Warning(text) => emit(Output::Warning { device, text: &text }),
                 SessionOutput::StateChanged => {
                     self.state_changed(device);

@@ -5,7 +5,7 @@
 
 use posed_state::Plain;
 
-use crate::flock::wire::{Format, QuaternionSense, rotation};
+use crate::flock::wire::{Format, QuaternionSense, rotation, value};
 use crate::rate::{ImpossibleRate, Rate};
 
 /// Bytes of a packet's header.
@@ -385,8 +385,7 @@ pub struct Pose {
 impl Pose {
     /// Whether a coordinate is at the end of the words' range, `range_m` (full scale, m).
     pub fn is_clipped(&self, range_m: f64) -> bool {
-        let end_m = range_m * (1.0 - 1.5 / FULL_SCALE);
-        self.position_m.is_some_and(|position_m| position_m.iter().any(|at_m| at_m.abs() >= end_m))
+        value::is_clipped(self.position_m, range_m, FULL_SCALE)
     }
 }
 

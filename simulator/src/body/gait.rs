@@ -154,25 +154,21 @@ impl Path {
         let mut station = stands(last);
         // How far the toe points up: as it leaves, and lands.
         let since = steps - (next - 1) as f64;
-        // The first step is half a step, and so is the last.
-        let size = match self.last {
-            Some(last) if next > last => 0.0,
-            Some(last) if next == last => 0.5,
-            _ if next <= 1 => 0.5,
-            _ => 1.0,
-        };
-        let lands = if self.is_over(next) { 0.0 } else { 1.0 };
+        // The first step is half a step, and so is the last; after that there is none.
+        let size = if next <= 1 || self.last == Some(next) { 0.5 } else { 1.0 };
+        let swings = if self.is_over(next) { 0.0 } else { 1.0 };
         let turned = DOUBLE_SUPPORT + PUSH_OFF;
         let leaves = minimum_jerk((since + HEEL_OFF) / (HEEL_OFF + turned))
             - minimum_jerk((since - turned) / (0.95 - turned));
         let falls =
             |landed: i64| minimum_jerk((steps - landed as f64 + LOADING[0]) / (LOADING[0] + LOADING[1]));
-        let mut pitch = lands * TOE_UP_RAD * (minimum_jerk((since - 0.5) / 0.42) - falls(next))
-            - size * TOE_DOWN_RAD * leaves;
+        let mut pitch = swings
+            * (TOE_UP_RAD * (minimum_jerk((since - 0.5) / 0.42) - falls(next))
+                - size * TOE_DOWN_RAD * leaves);
         if last > 0 && !self.is_over(last) {
             pitch += TOE_UP_RAD * (1.0 - falls(last));
         }
-        let share = lands * minimum_jerk(flight(steps, next));
+        let share = swings * minimum_jerk(flight(steps, next));
         // A foot that has lain down since it landed leaves the floor by its ball.
         let landing = if since > -HEEL_OFF { share } else { 1.0 };
         let ahead = stands(next);

@@ -88,7 +88,7 @@ fn solve(args: &Solve) -> Result<(), Error> {
     let (recorded, mut imu) = imus::read(&args.imus, args.rate_hz, Inertial::sample)?;
     if args.sampling == imus::Sampled::Mean {
         if recorded.is_some() {
-            return Err(Error::Usage("--sampling is for tables: a recording's stage states it".into()));
+            return Err(imus::sampling_is_known());
         }
         imus::centre(&mut imu);
     }

@@ -58,27 +58,17 @@ impl Recent {
 
     /// The body, which comes before the estimate of its frame.
     fn body(&mut self, body: &Body) {
-        let Body {
-            t_valid,
-            heading,
-            heading_sigma_rad,
-            position_source,
-            position_sigma_m,
-            contacts,
-            angles_rad,
-            spread,
-            ..
-        } = *body;
+        // All but the segments, which would have to be allocated.
         self.body = Some(Body {
-            t_valid,
-            heading,
-            heading_sigma_rad,
-            position_source,
-            position_sigma_m,
-            contacts,
+            t_valid: body.t_valid,
+            heading: body.heading,
+            heading_sigma_rad: body.heading_sigma_rad,
+            position_source: body.position_source,
+            position_sigma_m: body.position_sigma_m,
+            contacts: body.contacts,
             segments: Vec::new(),
-            angles_rad,
-            spread,
+            angles_rad: body.angles_rad,
+            spread: body.spread,
         });
     }
 

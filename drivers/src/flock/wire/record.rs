@@ -6,7 +6,7 @@
 use posed_state::Plain;
 use thiserror::Error;
 
-use super::{Format, QuaternionSense, Range, rotation};
+use super::{Format, QuaternionSense, Range, rotation, value};
 
 /// The bit that marks the first byte of a record, and no other.
 pub const PHASE_BIT: u8 = 0x80;
@@ -16,6 +16,8 @@ pub const MAX_WORDS: usize = 12;
 pub const MAX_LEN: usize = 2 * MAX_WORDS + 2;
 /// Full scale of a word.
 const FULL_SCALE: f64 = 32768.0;
+/// Words are in steps of so much: 14 bits in the upper part of 16.
+const WORD_STEP: f64 = 4.0;
 
 /// What decides the length of a bird's records. The record itself does not tell it: only the answers of set-up do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Plain)]
@@ -82,9 +84,7 @@ pub struct Record {
 impl Record {
     /// Whether a coordinate is at the end of the words' range.
     pub fn is_clipped(&self, range: Range) -> bool {
-        // The last of 8192 steps is the end; that halves a step is for what was rounded.
-        let end_m = range.metres() * (1.0 - 1.5 / 8192.0);
-        self.position_m.is_some_and(|position_m| position_m.iter().any(|at_m| at_m.abs() >= end_m))
+        value::is_clipped(self.position_m, range.metres(), FULL_SCALE / WORD_STEP)
     }
 }
 

@@ -292,3 +292,10 @@ pub const fn scaling_word(range: Range) -> Option<u16> {
         Range::In144 => None,
     }
 }
+
+/// Whether a coordinate of a position, m, is at the end of words that have so many steps to a full scale of `range_m`, m.
+pub fn is_clipped(position_m: Option<[f64; 3]>, range_m: f64, steps: f64) -> bool {
+    // The last step is the end; half of one is for what was rounded.
+    let end_m = range_m * (1.0 - 1.5 / steps);
+    position_m.is_some_and(|position_m| position_m.iter().any(|at_m| at_m.abs() >= end_m))
+}
