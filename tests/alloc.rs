@@ -159,7 +159,7 @@ fn a_warm_chain_does_not_allocate() {
     let mut rig = leg::leg(1);
     rig.run_until(33.0);
     let stage_file = Stage::parse(leg::STAGE).unwrap();
-    let layout = ChainLayout::of(&stage_file).unwrap();
+    let layout = ChainLayout::of(&stage_file, 0).unwrap();
     let calibration = Box::new(calibrate(&layout.segments, &leg::epochs(&rig)).unwrap());
     let mut pipeline = Pipeline::new(&stage_file).unwrap();
     let [swapped, warm] = [20.0, 26.0].map(|s| rig.log.partition_point(|entry| entry.t.as_secs_f64() < s));
@@ -171,7 +171,7 @@ fn a_warm_chain_does_not_allocate() {
         bodies
     };
     feed(&mut pipeline, &rig.log[..swapped]);
-    let model = Input::Model(Model::Chain { calibration });
+    let model = Input::Model(Model::Chain { body: None, calibration });
     feed(&mut pipeline, &[Entry { t: rig.log[swapped].t, input: model }]);
     let before_warm = feed(&mut pipeline, &rig.log[swapped..warm]);
     let before = allocations();

@@ -35,6 +35,7 @@ pub(crate) fn start(args: &Args) -> Served {
             name: format!("bird-{n}"),
             device: "flock".into(),
             address: n + 1,
+            body: None,
             segment: None,
             mount_quat_wxyz: None,
             offset_m: None,

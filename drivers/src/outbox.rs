@@ -78,12 +78,12 @@ impl Outbox {
         self.queue.push_back(Output::Sample(sample));
     }
 
-    pub(crate) fn heading_reset(&mut self) {
-        self.queue.push_back(Output::HeadingReset);
+    pub(crate) fn heading_reset(&mut self, address: u16) {
+        self.queue.push_back(Output::HeadingReset { address });
     }
 
-    pub(crate) fn pressed(&mut self) {
-        self.queue.push_back(Output::Pressed);
+    pub(crate) fn pressed(&mut self, address: u16) {
+        self.queue.push_back(Output::Pressed { address });
     }
 
     /// Warns, unless a warning of the same `kind` went out within the last ten seconds.

@@ -45,9 +45,15 @@ pub enum Output {
     /// the first sample.
     StateChanged,
     /// Somebody asked on a tracker itself, in the way that it has for this, that headings begin anew.
-    HeadingReset,
+    HeadingReset {
+        /// The sensor that was asked, or the first of several on one tracker.
+        address: u16,
+    },
     /// The button of a sensor was pressed; what that means is not the driver's affair.
-    Pressed,
+    Pressed {
+        /// The sensor.
+        address: u16,
+    },
     /// Something the operator should know, in one sentence that states what to do.
     Warning(String),
 }

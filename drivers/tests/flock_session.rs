@@ -239,7 +239,7 @@ impl Bench {
                 Output::Sample(sample) => self.samples.push((self.now, sample)),
                 Output::StateChanged => self.states.push((self.now, self.session.state().clone())),
                 Output::Warning(text) => self.warnings.push(text),
-                Output::HeadingReset | Output::Pressed => {}
+                Output::HeadingReset { .. } | Output::Pressed { .. } => {}
             }
         }
     }

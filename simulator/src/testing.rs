@@ -210,7 +210,7 @@ impl<S: Session> Pair<S> {
                 Said::SetRts(on) => self.stage.device_mut(0).handle_rts(self.now, on),
                 Said::Sample(sample) => self.samples.push(sample),
                 Said::Warning(sentence) => self.warnings.push(sentence),
-                Said::StateChanged | Said::HeadingReset | Said::Pressed => {}
+                Said::StateChanged | Said::HeadingReset { .. } | Said::Pressed { .. } => {}
             }
         }
     }

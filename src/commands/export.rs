@@ -29,6 +29,9 @@ pub(crate) struct Args {
     /// Names of the bones in a bvh file, and its unit: m, or cm for MotionBuilder and Mixamo.
     #[arg(long, value_enum, default_value = "posed")]
     bones: BoneNames,
+    /// The body that an animation shows, by name, of a recording with several.
+    #[arg(long, value_name = "NAME")]
+    body: Option<String>,
     /// Axes of the poses in a csv file.
     #[arg(long, value_enum, default_value = "room")]
     frame: Frame,
@@ -53,7 +56,7 @@ enum Format {
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
-    let Args { recording, to, output, bones, frame, json } = args;
+    let Args { recording, to, output, bones, body: who, frame, json } = args;
     let mut progress = Progress::over(&recording, "exporting");
     if frame != Frame::Room && to != Format::Csv {
         return Err(Error::Usage("--frame is for --to csv; everything else is in the room's axes".into()));
@@ -63,8 +66,14 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
             "--bones is for --to bvh; the other formats have names of their own".into(),
         ));
     }
+    if who.is_some() && matches!(to, Format::Jsonl | Format::Csv | Format::Mcap) {
+        return Err(Error::Usage(
+            "--body is for formats that show a body; this one holds all of them".into(),
+        ));
+    }
     let mut body = |format| {
-        movement::animation(&recording, &output, format, |bytes| progress.at(bytes)).map_err(Error::failed)
+        let at = |bytes| progress.at(bytes);
+        movement::animation(&recording, &output, format, who.as_deref(), at).map_err(Error::failed)
     };
     let rows = match to {
         Format::Bvh => body(animation::Format::Bvh(bones))?,

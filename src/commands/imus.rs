@@ -6,8 +6,8 @@ use posed_fusion::ahrs::{ImuSample, Sampling};
 use posed_fusion::body::BodySegment;
 use posed_recording::is_recording;
 use posed_recording::table::{Imu, ImuRow};
-use posed_stage::Stage;
 use posed_stage::output::Inertial;
+use posed_stage::{BodyIndex, Stage};
 
 use super::Error;
 use super::recorded::Recorded;
@@ -96,9 +96,11 @@ fn recorded(path: &Path, which: fn(&Inertial) -> Option<ImuSample>) -> Result<(S
         }
     })?;
     // Where sensors turned out to sit while it was recorded.
-    for (segment, imu) in BodySegment::ALL.into_iter().zip(pipeline.body_imus()) {
-        if let Some(imu) = imu {
-            stage.sensors[usize::from(imu)].segment = Some(segment.name().into());
+    for body in 0..stage.bodies.len() as BodyIndex {
+        for (segment, imu) in BodySegment::ALL.into_iter().zip(pipeline.body_imus(body)) {
+            if let Some(imu) = imu {
+                stage.sensors[usize::from(imu)].segment = Some(segment.name().into());
+            }
         }
     }
     Ok((stage, table))

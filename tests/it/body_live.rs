@@ -378,7 +378,7 @@ fn a_dead_sensor_is_named_within_a_second_and_the_rest_keeps_moving() {
     let named_s = named.t_valid.as_secs_f64();
     assert!((4.0..6.5).contains(&named_s), "{named_s}");
     assert_eq!(named.segments[BodySegment::ForearmL.index()].state, SegmentState::Suspect);
-    let status = rig.pipeline.status().body.unwrap();
+    let status = rig.pipeline.status().bodies.remove(0).unwrap();
     let reported: Vec<_> = status.faults.iter().map(|(_, segment, fault)| (*segment, *fault)).collect();
     // A neighbour that loses its partner may be named beside it, nobody else.
     assert!(reported.contains(&("forearm_l", Cause::Missing)), "{reported:?}");
@@ -405,14 +405,14 @@ fn angles_are_columns_of_exercises() {
     let knee = columns.iter().position(|name| name == "knee_r_flexion_deg").unwrap();
     let rig = simulated.run(3.0);
     let angles = BodyColumns::of(&simulated.stage);
-    let mut body = None;
+    let mut newest = None;
     let (mut row, mut most) = (Vec::new(), f64::MIN);
     for emitted in &rig.emitted {
         match emitted {
-            Said::Body(news) => body = Some(&**news),
+            Said::Body(news) => newest = Some(&**news),
             Said::Estimate(estimate) => {
                 signals::write(estimate, &mut row);
-                angles.append(body, estimate, &mut row);
+                angles.append(|_| newest, estimate, &mut row);
                 assert_eq!(row.len(), columns.len());
                 most = most.max(row[knee].unwrap_or(f64::MIN));
             }
@@ -425,10 +425,10 @@ fn angles_are_columns_of_exercises() {
 #[test]
 fn nobody_is_shown_before_the_mounting_is_known() {
     let mut simulated = simulated(XBUS, &BodySegment::ALL, |n| n, squatting());
-    simulated.stage.body.as_mut().unwrap().mounting = posed_stage::Mounting::Calibrate;
+    simulated.stage.bodies[0].mounting = posed_stage::Mounting::Calibrate;
     let rig = simulated.run(2.0);
     assert!(rig.estimates().count() > 50 && bodies(&rig).is_empty());
-    assert!(!rig.pipeline.status().body.unwrap().mounted);
+    assert!(!rig.pipeline.status().bodies[0].as_ref().unwrap().mounted);
     // Two sensors on one segment are refused.
     simulated.stage.sensors[0].segment = Some("pelvis".into());
     let refused = Pipeline::new(&simulated.stage).unwrap_err().to_string();
@@ -442,6 +442,7 @@ fn who_looks_ahead_resets_the_heading() {
         Person { activity: Activity::Poses, height_m: HEIGHT_M, heading_deg: 40.0, ..Person::default() };
     let mut simulated = simulated(XBUS, &BodySegment::ALL, |n| n, posing);
     let request = |sensor: Option<&str>, degrees: f64| Request::HeadingReset {
+        body: None,
         sensor: sensor.map(str::to_owned),
         heading_rad: degrees.to_radians(),
     };
@@ -481,21 +482,21 @@ fn a_press_on_a_tracker_resets_the_heading() {
         let on_torso = address(1 + BodySegment::Torso.index() as u16);
         let mut simulated = simulated(device, &BodySegment::ALL, address, posing());
         simulated.stage.sensors.iter_mut().for_each(|sensor| sensor.magnetometer = false);
-        simulated.stage.body.as_mut().unwrap().reset_by_button = asks && device == X_IMU3;
+        simulated.stage.bodies[0].reset_by_button = asks && device == X_IMU3;
         let asked = match device {
             XBUS => Fault::DoubleTap { address: on_torso, at_s: 3.95 },
             _ => Fault::Button { address: on_torso, at_s: 4.5 },
         };
         simulated.scenario.devices[0].faults.push(asked);
         if asks && device == XBUS {
-            simulated.stage.body.as_mut().unwrap().reset_by_double_tap = Some("torso".into());
+            simulated.stage.bodies[0].reset_by_double_tap = Some("torso".into());
         }
         let mut rig = simulated.run(3.0);
         let ahead_deg = |rig: &Rig| {
             let forward = q(bodies(rig).last().unwrap(), BodySegment::Pelvis) * Vector3::x();
             libm::atan2(forward.y, forward.x).to_degrees()
         };
-        let turned = Request::HeadingReset { sensor: None, heading_rad: 40_f64.to_radians() };
+        let turned = Request::HeadingReset { body: None, sensor: None, heading_rad: 40_f64.to_radians() };
         rig.pipeline.push(&Entry { t: rig.host.now, input: Input::Request(turned) }, &mut |_| {});
         rig.run_until(3.9);
         assert!((ahead_deg(&rig) - 40.0).abs() < 3.0, "{device}: {}", ahead_deg(&rig));
@@ -526,7 +527,7 @@ fn the_demo_shows_a_body_that_stands_where_it_stands() {
         let expected = if hangs { SegmentState::Inferred } else { SegmentState::Ok };
         assert_eq!(last.segments[segment.index()].state, expected, "{last:?}");
     }
-    assert_eq!(rig.pipeline.status().body.unwrap().faults, []);
+    assert_eq!(rig.pipeline.status().bodies[0].as_ref().unwrap().faults, []);
     // A stream of entries without sense does not disturb it.
     let entry = Entry { t: rig.host.now, input: Input::Timer };
     let mut emitted = Vec::new();

@@ -50,13 +50,13 @@ fn a_chain_is_calibrated_and_then_followed_as_well_as_a_file_of_it() {
     let mut rig = leg(2);
     rig.run_until(36.0);
     assert!(bodies(&rig.emitted).is_empty(), "nothing is said before the axes are known");
-    assert!(!rig.pipeline.status().body.unwrap().mounted);
+    assert!(!rig.pipeline.status().bodies[0].as_ref().unwrap().mounted);
     let stage = Stage::parse(STAGE).unwrap();
-    let layout = ChainLayout::of(&stage).unwrap();
+    let layout = ChainLayout::of(&stage, 0).unwrap();
     let calibration = Box::new(calibrate(&layout.segments, &epochs(&rig)).unwrap());
     let quality_deg = calibration.segments[1].hinge.unwrap().quality_deg;
     assert!(quality_deg < 3.0, "{quality_deg} degrees");
-    rig.push(Input::Model(Model::Chain { calibration: calibration.clone() }));
+    rig.push(Input::Model(Model::Chain { body: None, calibration: calibration.clone() }));
     assert_eq!(rig.pipeline.status().models_refused, 0);
     let swapped = rig.host.now;
     rig.run_until(60.0);
@@ -143,18 +143,18 @@ fn a_calibration_of_another_chain_is_refused() {
     let mut rig = leg(3);
     rig.run_until(34.0);
     let stage = Stage::parse(STAGE).unwrap();
-    let layout = ChainLayout::of(&stage).unwrap();
+    let layout = ChainLayout::of(&stage, 0).unwrap();
     let mut calibration = Box::new(calibrate(&layout.segments, &epochs(&rig)).unwrap());
     calibration.segments[1].name = "foot".into();
-    rig.push(Input::Model(Model::Chain { calibration: calibration.clone() }));
+    rig.push(Input::Model(Model::Chain { body: None, calibration: calibration.clone() }));
     calibration.segments[1].quat_wxyz = [0.0; 4];
-    rig.push(Input::Model(Model::Chain { calibration }));
+    rig.push(Input::Model(Model::Chain { body: None, calibration }));
     assert_eq!(rig.pipeline.status().models_refused, 2);
     // A ball joint is not followed live, nor a segment without an IMU.
     let ball = STAGE.replace("\"hinge\"", "\"ball\"");
-    assert_eq!(ChainLayout::of(&Stage::parse(&ball).unwrap()), None);
+    assert_eq!(ChainLayout::of(&Stage::parse(&ball).unwrap(), 0), None);
     let bare = STAGE.replace("segment = \"shank\"\n", "");
-    assert_eq!(ChainLayout::of(&Stage::parse(&bare).unwrap()), None);
+    assert_eq!(ChainLayout::of(&Stage::parse(&bare).unwrap(), 0), None);
 }
 
 /// What hangs on the leg's shank, and is no hinge: another person's shank.

@@ -72,14 +72,14 @@ fn load() -> Input {
 
 fn select(plan: Plan) -> Input {
     let (subject, exercises) = ("patient".to_owned(), vec!["curl".to_owned()]);
-    Input::Request(Request::ExerciseSelect { subject, exercises, plan, sensors: BTreeMap::new() })
+    Input::Request(Request::ExerciseSelect { subject, exercises, plan, sensors: BTreeMap::new(), body: None })
 }
 
 /// Selects the curl for somebody who wears other sensors than those it was taught with.
 fn with_sensors<const N: usize>(sensors: [(&str, &str); N]) -> Request {
     let sensors = sensors.map(|(taught, other)| (taught.to_owned(), other.to_owned())).into();
     let (subject, exercises) = ("patient".to_owned(), vec!["curl".to_owned()]);
-    Request::ExerciseSelect { subject, exercises, plan: Plan::default(), sensors }
+    Request::ExerciseSelect { subject, exercises, plan: Plan::default(), sensors, body: None }
 }
 
 /// Somebody else, at another pace; the exercise is loaded at the start.
@@ -189,18 +189,21 @@ fn requests_without_sense_are_refused_and_change_nothing() {
             exercises: vec!["squat".into()],
             plan: Plan::default(),
             sensors: BTreeMap::new(),
+            body: None,
         },
         Request::ExerciseSelect {
             subject: "a".into(),
             exercises: vec!["curl".into(); 2],
             plan: Plan::default(),
             sensors: BTreeMap::new(),
+            body: None,
         },
         Request::ExerciseSelect {
             subject: String::new(),
             exercises: Vec::new(),
             plan: Plan::default(),
             sensors: BTreeMap::new(),
+            body: None,
         },
         with_sensors([("s0-0", "nobody")]),
         with_sensors([("nobody", "s0-0")]),
@@ -209,6 +212,7 @@ fn requests_without_sense_are_refused_and_change_nothing() {
             exercises: vec!["curl".into()],
             plan: Plan { rest_s: f64::NAN, ..Plan::default() },
             sensors: BTreeMap::new(),
+            body: None,
         },
         Request::ExerciseReset { subject: "a".into() },
     ];
@@ -419,7 +423,7 @@ pub(crate) fn wearer(
     stage: &Stage,
     span_s: Range<f64>,
 ) -> (Vec<String>, Vec<f64>, Vec<Option<f64>>) {
-    let (all, columns) = (signals::columns_of(stage), signals::columns_of_wearer(stage));
+    let (all, columns) = (signals::columns_of(stage), signals::columns_of_wearer(stage, 0));
     let kept: Vec<usize> =
         columns.iter().filter_map(|column| all.iter().position(|other| other == column)).collect();
     let angles = BodyColumns::of(stage);
@@ -430,7 +434,7 @@ pub(crate) fn wearer(
             Said::Estimate(estimate) if span_s.contains(&estimate.t_valid.as_secs_f64()) => {
                 t_s.push(estimate.t_valid.as_secs_f64());
                 signals::write(estimate, &mut row);
-                angles.append(body, estimate, &mut row);
+                angles.append(|_| body, estimate, &mut row);
                 values.extend(kept.iter().map(|column| row[*column]));
             }
             _ => {}

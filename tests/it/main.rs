@@ -39,6 +39,7 @@ mod reference;
 mod segments;
 mod server;
 mod sessions;
+mod several_people;
 mod simulated;
 mod stages;
 mod supply;

@@ -34,7 +34,13 @@ fn recorded(path: &Path) -> Vec<Value> {
     rig.push(Input::Model(Model::Exercise { exercise }));
     let plan = Plan { repetitions: Some(3), sets: Some(2), rest_s: 3.0 };
     let (subject, exercises) = ("default".to_owned(), vec!["curl".to_owned()]);
-    rig.push(Input::Request(Request::ExerciseSelect { subject, exercises, plan, sensors: BTreeMap::new() }));
+    rig.push(Input::Request(Request::ExerciseSelect {
+        subject,
+        exercises,
+        plan,
+        sensors: BTreeMap::new(),
+        body: None,
+    }));
     rig.run_until(45.0);
     record(path, &rig.log, DEMO, "exercise")
 }

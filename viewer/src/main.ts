@@ -3,7 +3,7 @@
 import "./theme.css";
 import { el, setText } from "./dom";
 import { Link, type LinkState } from "./link";
-import { Model } from "./model";
+import { Model, PERSON } from "./model";
 import { Pace } from "./pace";
 import type { View } from "./view";
 import { AnalysisView } from "./views/analysis";
@@ -85,6 +85,12 @@ function addTabs(): void {
   });
 }
 
+/** Whom all views but the stage's are about: the page begins anew with somebody else, at an address of its own. */
+function introduce(names: string[]): void {
+  byId("person").hidden = !model.several;
+  byId("person-choice").replaceChildren(...names.map((name) => el("option", { value: name, selected: name === model.person }, name)));
+}
+
 /** The line at the top: live, old, or why there is no connection. */
 function drawLink(now_ms: number): void {
   const age_ms = now_ms - model.lastFrameMs;
@@ -115,6 +121,7 @@ model.listen((message) => {
   if (message.type === "hello") {
     document.title = `${message.stage} – posed`;
     setText(byId("stage"), message.stage);
+    introduce(message.bodies.map(({ name }) => name));
   } else if (message.type === "status") {
     const list = byId("problems");
     list.hidden = message.problems.length === 0;
@@ -129,6 +136,12 @@ byId("token").addEventListener("submit", (event) => {
   event.preventDefault();
   const token = new FormData(event.target as HTMLFormElement).get("token");
   if (typeof token === "string") link.useToken(token);
+});
+
+byId("person-choice").addEventListener("change", ({ target }) => {
+  const address = new URL(location.href);
+  address.searchParams.set(PERSON, (target as HTMLSelectElement).value);
+  location.assign(address);
 });
 
 addTabs();

@@ -1,7 +1,7 @@
 // What the daemon has said: the newest state of each topic, a short history for curves and trails, the last events.
 // Bounded: it never grows over hours.
 
-import type { Change, ExerciseEventMessage, FaultEvent, FaultMap, FigureMessage, Hello, JobsMessage, KeyPoseMessage, MotionSegmentMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage, Vec3 } from "./protocol";
+import type { Change, HelloBody, ExerciseEventMessage, FaultEvent, FaultMap, FigureMessage, Hello, JobsMessage, KeyPoseMessage, MotionSegmentMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage, Vec3 } from "./protocol";
 import { Rows } from "./rows";
 
 /** Seconds of history for curves. */
@@ -10,6 +10,14 @@ const HISTORY_ROWS = HISTORY_S * 60;
 const EVENTS = 200;
 /** Of a sensor's history: m, m/s. */
 const HISTORY_NAMES = ["x", "y", "z", "speed", "sigma"];
+
+/** In the address: who is looked at. */
+export const PERSON = "person";
+
+function personOf(bodies: readonly HelloBody[]): string | null {
+  const asked = new URLSearchParams(location.search).get(PERSON);
+  return (bodies.find(({ name }) => name === asked) ?? bodies[0])?.name ?? null;
+}
 
 /** Appends to the rows of a name, which begin with its first values. */
 function keep(all: Map<string, Rows>, name: string, t_s: number, values: Record<string, number | null>): void {
@@ -39,7 +47,12 @@ function remember(history: Rows, t_s: number, [x, y, z]: Vec3, sigma_m: number |
 export class Model {
   hello: Hello | null = null;
   sensors: SensorsMessage | null = null;
+  /** Of who is looked at: {@link person}. */
   body: FigureMessage | null = null;
+  /** The newest of everybody, by name. */
+  readonly bodies = new Map<string, FigureMessage>();
+  /** Who is looked at, by the name of the body: whom the address names, or the first one. */
+  person: string | null = null;
   truth: TruthsMessage | null = null;
   status: StatusMessage | null = null;
   jobs: JobsMessage | null = null;
@@ -65,6 +78,26 @@ export class Model {
   version = 0;
   private readonly listeners = new Set<(message: ServerMessage) => void>();
 
+  /** What exercises of this page are counted for. */
+  get subject(): string {
+    return this.several ? this.person! : "default";
+  }
+
+  /** Whether there is more than one person. */
+  get several(): boolean {
+    return (this.hello?.bodies.length ?? 0) > 1;
+  }
+
+  /** Who is looked at; null on a stage without bodies. */
+  get looked(): HelloBody | null {
+    return this.hello?.bodies.find(({ name }) => name === this.person) ?? null;
+  }
+
+  /** What requests about the person carry: nothing where there is only one. */
+  get about(): { body?: string } {
+    return this.several ? { body: this.person! } : {};
+  }
+
   /** Calls `listener` for each message, after it has been taken in. */
   listen(listener: (message: ServerMessage) => void): void {
     this.listeners.add(listener);
@@ -75,6 +108,8 @@ export class Model {
     switch (message.type) {
       case "hello":
         this.hello = message;
+        this.person = personOf(message.bodies);
+        this.bodies.clear();
         this.history.clear();
         this.angles.clear();
         this.angleSigmas.clear();
@@ -116,6 +151,7 @@ export class Model {
         this.takeSegment(message);
         break;
       case "exercise":
+        if ((message.subject ?? this.subject) !== this.subject) break;
         if (message.event === "counted" || message.event === "rejected") this.repetitions.push(message);
         if (this.repetitions.length > EVENTS) this.repetitions.shift();
         break;
@@ -131,6 +167,7 @@ export class Model {
   }
 
   private takeSegment(message: MotionSegmentMessage): void {
+    if (message.body !== null && message.body !== this.person) return;
     const rewound = message.t_s < (this.segments.at(-1)?.t_s ?? -Infinity);
     const others = rewound ? [] : this.segments.filter(({ segment }) => segment !== message.segment);
     if (message.event !== "withdrawn") others.push(message);
@@ -138,6 +175,8 @@ export class Model {
   }
 
   private takeBody(message: FigureMessage): void {
+    this.bodies.set(message.name, message);
+    if (message.name !== this.person) return;
     if (this.body !== null && message.t_s < this.body.t_s) {
       this.angles.clear();
       this.angleSigmas.clear();

@@ -107,8 +107,8 @@ pub async fn ask(line: &mut Port<Stream>, kind: Kind, reset: bool) -> io::Result
                 Output::SetRts(asserted) => line.set_rts(asserted)?,
                 Output::Sample(_)
                 | Output::StateChanged
-                | Output::HeadingReset
-                | Output::Pressed
+                | Output::HeadingReset { .. }
+                | Output::Pressed { .. }
                 | Output::Warning(_) => {}
             }
         }

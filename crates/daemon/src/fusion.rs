@@ -25,9 +25,9 @@ use posed_pipeline::{InputError, SupervisedPipeline};
 use posed_protocol::foxglove::Views;
 use posed_protocol::{Answer, Payload, Publisher, RecordingBegun, schema};
 use posed_recording::{Header, Snapshot, WriteError};
-use posed_stage::RecordingContent;
 use posed_stage::input::{Entry, Input, Model, Request, SensorIndex};
 use posed_stage::output::{OutcomeKind, Output};
+use posed_stage::{BodyIndex, RecordingContent};
 
 /// The queue into the fusion thread; clones share it. Only the daemon takes from it.
 pub type FusionInbox = Inbox<Command>;
@@ -204,8 +204,10 @@ pub enum Command {
         /// What looks on.
         observer: Box<dyn Observer + Send>,
     },
-    /// Reports which IMU is worn where.
+    /// Reports which IMU a body wears where.
     BodyImus {
+        /// Which.
+        body: BodyIndex,
         /// Where the IMU of each segment goes.
         to: std_mpsc::SyncSender<[Option<SensorIndex>; SEGMENTS]>,
     },
@@ -433,7 +435,7 @@ impl Fusion {
             }
             Command::Begin { to } => _ = to.send(self.begin()),
             Command::Watch { calibration, observer } => self.observers.watch(calibration, observer),
-            Command::BodyImus { to } => _ = to.send(self.pipeline.body_imus()),
+            Command::BodyImus { body, to } => _ = to.send(self.pipeline.body_imus(body)),
             Command::Unit { sensor, to } => {
                 let _ = to.send(self.pipeline.unit(sensor).map(str::to_owned));
             }

@@ -369,9 +369,9 @@ fn network(stage: &Stage, path: &Path) -> Result<Vec<u8>, ModelError> {
     let unread = |error| ModelError::Read { path: path.to_owned(), error };
     let bytes = std::fs::read(path).map_err(unread)?;
     let model = Model::from_bytes(&bytes).map_err(|error| error.to_string());
-    let layout = BodyLayout::of(stage);
+    let layouts = BodyLayout::all(stage);
     let names = stage.sensors.iter().map(|sensor| sensor.name.as_str());
-    let names = names.chain(layout.iter().flat_map(BodyLayout::places));
+    let names = names.chain(layouts.iter().flatten().flat_map(BodyLayout::places));
     let fits = model.and_then(|model| model.columns(names));
     fits.map_err(|reason| ModelError::File { path: path.to_owned(), reason }).map(|_| bytes)
 }

@@ -10,7 +10,7 @@ use posed_motion::exercise::{Exercise, ExerciseError, columns_of};
 use posed_recording::AtomicFile;
 use posed_stage::input::Model;
 use posed_stage::signals;
-use posed_stage::{Stage, read_intrinsics};
+use posed_stage::{BodyIndex, Stage, read_intrinsics};
 
 /// What is wrong with a model, its file or its folder.
 #[derive(Debug, thiserror::Error)]
@@ -157,7 +157,17 @@ fn named(stage: &Stage) -> Result<Vec<Model>, ModelError> {
 pub(super) fn check_exercise(stage: &Stage, exercise: &Exercise) -> Result<(), ModelError> {
     let columns = signals::columns_of(stage);
     let lacks = |channel| ModelError::Lacks { exercise: exercise.name.clone(), channel };
-    columns_of(&exercise.channels, &columns).map(drop).map_err(lacks)
+    // Joints may be those of any body that has them.
+    let own = |body: usize| -> Vec<String> {
+        let prefix = signals::prefix_of(stage, body as BodyIndex);
+        columns.iter().map(|column| column.strip_prefix(&prefix).unwrap_or(column).to_owned()).collect()
+    };
+    let mut checked = (0..stage.bodies.len().max(1)).map(|body| columns_of(&exercise.channels, &own(body)));
+    let first = checked.next().unwrap_or_else(|| columns_of(&exercise.channels, &columns));
+    if first.is_err() && checked.any(|checked| checked.is_ok()) {
+        return Ok(());
+    }
+    first.map(drop).map_err(lacks)
 }
 
 fn read_exercise(path: &Path) -> Result<Exercise, ModelError> {

@@ -51,11 +51,11 @@ pub(super) fn answer(folder: &Path, name: &str, columns: Vec<String>, reply: Rep
 }
 
 fn names(path: &Path) -> Result<Tracked, TableError> {
-    Ok(Tracked::Channels { columns: RecordedStreams::open(path)?.columns().to_vec() })
+    Ok(Tracked::Channels { columns: RecordedStreams::open(path, None)?.columns().to_vec() })
 }
 
 fn track(path: &Path, columns: &[String]) -> Result<Tracked, TableError> {
-    let mut recording = RecordedStreams::open(path)?;
+    let mut recording = RecordedStreams::open(path, None)?;
     let indices: Vec<Option<usize>> =
         columns.iter().map(|column| recording.columns().iter().position(|known| known == column)).collect();
     let mut thinned = Thinned::new(ROWS);

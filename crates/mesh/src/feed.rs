@@ -277,7 +277,7 @@ mod tests {
             let what = OutcomeKind::Fault { sensor: 0, cause: Cause::Gate, active: true };
             let (t_valid, t_decided) = (Timestamp::from_nanos(n as i64), Timestamp::ZERO);
             let item = Item::Outcome(Box::new(Outcome { t_valid, t_decided, what }));
-            let stamp = Stamp { topic: Topic::Faults, t_us: n as i64, event_id: Some(n) };
+            let stamp = Stamp { topic: Topic::Faults, body: 0, t_us: n as i64, event_id: Some(n) };
             feed.publish(&item, &stamp, &names);
         }
         assert_eq!(taken.try_iter().count(), WAITING);
@@ -290,7 +290,7 @@ mod tests {
         let late = feed.join(1);
         assert_eq!((late.events.len(), late.complete), (EVENTS, false));
         // And what comes next goes out.
-        let status = Stamp { topic: Topic::Status, t_us: 1 << 20, event_id: None };
+        let status = Stamp { topic: Topic::Status, body: 0, t_us: 1 << 20, event_id: None };
         feed.publish(&Item::Status(Box::default()), &status, &names);
         assert!(matches!(taken.try_recv(), Ok(Out::States(_))));
     }

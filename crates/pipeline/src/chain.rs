@@ -10,10 +10,10 @@ use crate::frame::Frame;
 use posed_fusion::body::{ANGLES, AngleSpread, Heading};
 use posed_fusion::chain::{ChainCalibration, LiveChain};
 use posed_geometry::orientation_to_wxyz;
-use posed_stage::Stage;
 use posed_stage::input::SensorIndex;
 use posed_stage::layout::ChainLayout;
 use posed_stage::output::{Body, PositionSource, SegmentEstimate, SegmentState};
+use posed_stage::{BodyIndex, Stage};
 
 /// Headings count as known from here on, rad; before, the axes have been level for too short a time.
 const SETTLED_RAD: f64 = 0.1;
@@ -37,9 +37,9 @@ pub(super) struct ChainStage {
 }
 
 impl ChainStage {
-    /// `None` where the stage has no such chain.
-    pub(super) fn new(stage: &Stage) -> Option<Self> {
-        let ChainLayout { segments, imus } = ChainLayout::of(stage)?;
+    /// `None` where this body is no such chain.
+    pub(super) fn new(stage: &Stage, body: BodyIndex) -> Option<Self> {
+        let ChainLayout { segments, imus } = ChainLayout::of(stage, body)?;
         Some(Self {
             names: segments.iter().map(|segment| segment.name.clone()).collect(),
             parents: segments
@@ -51,6 +51,7 @@ impl ChainStage {
             settled: false,
             begun_s: None,
             out: Body {
+                index: body,
                 t_valid: Default::default(),
                 heading: Heading::Unknown,
                 heading_sigma_rad: None,

@@ -10,6 +10,7 @@ use super::input_error::InputError;
 use super::sensor::Sensor;
 use posed_fusion::noise::TrackerNoise;
 use posed_motion::fault_map::FaultMap;
+use posed_stage::BodyIndex;
 use posed_stage::input::{DeviceIndex, Model, Request, SensorIndex};
 use posed_stage::output::{Outcome, OutcomeKind, Output};
 
@@ -53,16 +54,23 @@ impl Pipeline {
     /// them out all the same.
     pub fn check_request(&self, request: &Request) -> Result<(), InputError> {
         match request {
-            Request::HeadingReset { sensor, heading_rad } => {
-                self.heading(sensor.as_deref(), *heading_rad).map(drop)
+            Request::HeadingReset { body, sensor, heading_rad } => {
+                self.heading(body.as_deref(), sensor.as_deref(), *heading_rad).map(drop)
             }
             _ => self.exercise.check(request),
         }
     }
 
-    /// Somebody who wears them asked on a tracker itself that the headings begin anew: looks ahead, along the room's x.
-    pub(super) fn asked_on_a_tracker(&mut self, device: DeviceIndex, emit: &mut impl FnMut(Output<'_>)) {
-        let done = self.body.as_mut().is_some_and(|body| body.reset_heading(None, 0.0));
+    /// Whoever wears this sensor asked on the tracker itself that the headings begin anew: looks ahead, along the room's x. Where nobody does, it is the only person
+    /// there.
+    pub(super) fn asked_on_a_tracker(
+        &mut self,
+        device: DeviceIndex,
+        sensor: Option<SensorIndex>,
+        emit: &mut impl FnMut(Output<'_>),
+    ) {
+        let body = self.wearer_of(sensor);
+        let done = body.is_some_and(|body| self.bodies[usize::from(body)].reset_heading(None, 0.0));
         let text = if done {
             "asked for on a tracker: the headings of the body begin anew, it looks along the room's x"
         } else {
@@ -71,8 +79,28 @@ impl Pipeline {
         emit(Output::Warning { device, text });
     }
 
-    /// The sensor whose heading is to begin anew, `None` for all of the body.
-    fn heading(&self, sensor: Option<&str>, heading_rad: f64) -> Result<Option<SensorIndex>, InputError> {
+    /// The body that wears a sensor, or else the only one.
+    pub(super) fn wearer_of(&self, sensor: Option<SensorIndex>) -> Option<BodyIndex> {
+        let worn_by = sensor.and_then(|sensor| self.worn_by[usize::from(sensor)]);
+        worn_by.or((self.bodies.len() == 1).then_some(0))
+    }
+
+    /// The body of that name, or the only one.
+    fn body(&self, name: Option<&str>) -> Result<BodyIndex, InputError> {
+        let Some(name) = name else {
+            return if self.bodies.len() > 1 { Err(InputError::WhichBody) } else { Ok(0) };
+        };
+        let at = self.bodies.iter().position(|body| body.name == name);
+        at.map(|at| at as BodyIndex).ok_or_else(|| InputError::NoBody(name.to_owned()))
+    }
+
+    /// The body whose heading is to begin anew, and which of its sensors, `None` for all of them.
+    fn heading(
+        &self,
+        body: Option<&str>,
+        sensor: Option<&str>,
+        heading_rad: f64,
+    ) -> Result<(usize, Option<SensorIndex>), InputError> {
         let index =
             |name: &str| index_of(&self.sensors, name).ok_or_else(|| InputError::NoSensor(name.to_owned()));
         let sensor = sensor.map(index).transpose()?;
@@ -80,9 +108,11 @@ impl Pipeline {
             let (key, expected) = ("heading_deg", "-360 to 360".to_owned());
             return Err(InputError::OutOfRange { key, expected });
         }
-        let body = self.body.as_ref();
-        if body.is_some_and(|body| body.drifts(sensor)) {
-            return Ok(sensor);
+        let wearer = sensor.filter(|_| body.is_none()).and_then(|_| self.wearer_of(sensor));
+        let at = usize::from(wearer.map_or_else(|| self.body(body), Ok)?);
+        let human = self.bodies.get(at).and_then(|body| body.human.as_ref());
+        if human.is_some_and(|human| human.drifts(sensor)) {
+            return Ok((at, sensor));
         }
         Err(InputError::NoHeading(
             "there is no IMU on a calibrated human body here whose heading drifts: where the field tells it, nobody has to",
@@ -96,11 +126,9 @@ impl Pipeline {
             Request::FieldStart { .. } | Request::FieldFinish {} => {
                 self.field.request(request, t, self.sensors.iter().map(Sensor::name), emit)
             }
-            Request::HeadingReset { sensor, heading_rad } => {
-                let sensor = self.heading(sensor.as_deref(), *heading_rad);
-                sensor.is_ok_and(|sensor| {
-                    self.body.as_mut().is_some_and(|body| body.reset_heading(sensor, *heading_rad))
-                })
+            Request::HeadingReset { body, sensor, heading_rad } => {
+                let about = self.heading(body.as_deref(), sensor.as_deref(), *heading_rad);
+                about.is_ok_and(|(at, sensor)| self.bodies[at].reset_heading(sensor, *heading_rad))
             }
             Request::ExerciseSelect { .. } | Request::ExerciseReset { .. } => {
                 self.exercise.request(request, &self.estimate, &mut |outcome| emit(Output::Outcome(outcome)))
@@ -136,12 +164,16 @@ impl Pipeline {
                 self.field.swap(map.clone());
                 true
             }
-            Model::Mounting { sensors: mounted } => {
-                let Self { body, sensors, .. } = self;
-                body.as_mut().is_some_and(|body| body.mount(mounted, |name| index_of(sensors, name)))
+            Model::Mounting { body, sensors: mounted } => {
+                let Ok(at) = self.body(body.as_deref()) else { return false };
+                let Self { bodies, sensors, .. } = self;
+                let human = bodies.get_mut(usize::from(at)).and_then(|body| body.human.as_mut());
+                human.is_some_and(|human| human.mount(mounted, |name| index_of(sensors, name)))
             }
-            Model::Chain { calibration } => {
-                self.chain.as_mut().is_some_and(|chain| chain.calibrate(calibration))
+            Model::Chain { body, calibration } => {
+                let Ok(at) = self.body(body.as_deref()) else { return false };
+                let chain = self.bodies.get_mut(usize::from(at)).and_then(|body| body.chain.as_mut());
+                chain.is_some_and(|chain| chain.calibrate(calibration))
             }
             Model::AttachedImu { sensor, quat_wxyz, offset_m, clock_offset_s } => {
                 let pose = posed_geometry::isometry(*offset_m, *quat_wxyz);

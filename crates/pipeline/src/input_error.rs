@@ -39,6 +39,12 @@ pub enum InputError {
     /// The stage lacks a sensor.
     #[error("sensors: this stage has no sensor {0:?}")]
     NoSensor(String),
+    /// The stage lacks a body.
+    #[error("body: this stage has no body {0:?}")]
+    NoBody(String),
+    /// Several could be meant.
+    #[error("body: several people are on this stage: say whom it is about")]
+    WhichBody,
     /// No exercise was taught with the sensors that others are to stand for.
     #[error("sensors: these exercises were taught with none of them")]
     TaughtWithOthers,

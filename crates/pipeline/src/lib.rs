@@ -44,6 +44,7 @@ mod spike;
 mod status;
 mod supervised;
 mod units;
+mod wearer;
 
 use nalgebra::Isometry3;
 use posed_drivers::{LineEvent, Sample, Timestamp, session::Output as SessionOutput};
@@ -52,9 +53,7 @@ use thiserror::Error;
 
 use crate::frame::{Assembler, Frame};
 use attached::Attached;
-use body::BodyStage;
 pub use body::{ImuRecords, all_have_field, sensor_mount};
-use chain::ChainStage;
 use device::{Device, owner};
 pub use exercise::DEFAULT_SUBJECT;
 use exercise::ExerciseStage;
@@ -65,15 +64,17 @@ pub use input_error::InputError;
 use keyframes::Keyframes;
 use naming::Naming;
 use posed_fusion::body::SEGMENTS;
+use posed_motion::segments;
 use posed_stage::input::{DeviceIndex, Entry, Input, SensorIndex};
 use posed_stage::output::{Estimate, Output, SensorEstimate};
-use posed_stage::{LoadedModels, Stage};
+use posed_stage::{BodyIndex, LoadedModels, Stage};
 use sensor::Sensor;
 use source::Source;
 pub use status::{BodyStatus, ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
 use supervised::Recoveries;
 pub use supervised::SupervisedPipeline;
 use units::Units;
+use wearer::Wearer;
 
 /// No port brings more bytes in its life: who claims so is a damaged recording, and drivers add such numbers up.
 const MOST_DROPPED_BYTES: u64 = 1 << 40;
@@ -136,12 +137,12 @@ pub struct Pipeline {
     /// Boxed: few stages have any.
     units: Box<Units>,
     exercise: ExerciseStage,
-    /// Absent where nobody wears the sensors. Boxed: most stages have none.
+    /// Who wears the sensors, in the stage's order.
     #[state(each)]
-    body: Option<Box<BodyStage>>,
-    /// Absent where the stage has no chain of hinges.
-    #[state(each)]
-    chain: Option<Box<ChainStage>>,
+    bodies: Vec<Wearer>,
+    /// By sensor, the body that wears it.
+    #[state(keep)]
+    worn_by: Vec<Option<BodyIndex>>,
     /// Absent where the stage does not ask for them.
     #[state(each)]
     keyframes: Option<Keyframes>,
@@ -151,9 +152,9 @@ pub struct Pipeline {
     opened: Vec<Option<bool>>,
     /// Of a [`SupervisedPipeline`].
     recoveries: Recoveries,
-    /// Boxed: most stages have none.
+    /// One per body whose motion is named, or one of a stage without bodies.
     #[state(each)]
-    naming: Option<Box<Naming>>,
+    naming: Vec<Naming>,
     #[state(each)]
     faults: Option<Box<FaultMapStage>>,
     #[state(keep)]
@@ -220,12 +221,15 @@ impl Pipeline {
             attached: Attached::new(stage)?,
             units: Box::new(Units::new(stage.sensors.len())),
             exercise: ExerciseStage::new(stage),
-            body: BodyStage::new(stage)?.map(Box::new),
-            chain: ChainStage::new(stage).map(Box::new),
+            bodies: (0..)
+                .zip(&stage.bodies)
+                .map(|(index, _)| Wearer::new(stage, index))
+                .collect::<Result<_, _>>()?,
+            worn_by: stage.sensors.iter().map(|sensor| stage.wearer_of(sensor)).collect(),
             keyframes: Keyframes::new(stage)?,
             models_refused: 0,
             requests_refused: 0,
-            naming: None,
+            naming: Vec::new(),
             faults: None,
             models: LoadedModels::default(),
         })
@@ -261,8 +265,8 @@ impl Pipeline {
             Input::Truth(truth) => emit(Output::Truth(truth)),
         }
         self.close_frames(emit);
-        if let Some(sensor) = self.body.as_mut().and_then(|body| body.take_tapped()) {
-            self.asked_on_a_tracker(self.sensors[usize::from(sensor)].device(), emit);
+        while let Some(sensor) = self.bodies.iter_mut().find_map(Wearer::take_tapped) {
+            self.asked_on_a_tracker(self.sensors[usize::from(sensor)].device(), Some(sensor), emit);
         }
     }
 
@@ -314,14 +318,7 @@ impl Pipeline {
                     sensor.status(device.counted(index, &self.sensors).as_ref())
                 })
                 .collect(),
-            body: self
-                .body
-                .as_ref()
-                .map(|body| BodyStatus { mounted: body.is_mounted(), faults: body.faults().collect() })
-                .or_else(|| {
-                    let mounted = self.chain.as_ref()?.is_mounted();
-                    Some(BodyStatus { mounted, faults: Vec::new() })
-                }),
+            bodies: self.bodies.iter().map(Wearer::status).collect(),
             models_refused: self.models_refused,
             requests_refused: self.requests_refused,
             entries_left_out: self.recoveries.entries_left_out(),
@@ -363,10 +360,16 @@ impl Pipeline {
             match output {
                 SessionOutput::Transmit(bytes) => emit(Output::Transmit { device, bytes: &bytes }),
                 SessionOutput::SetRts(asserted) => emit(Output::SetRts { device, asserted }),
-                SessionOutput::HeadingReset => self.asked_on_a_tracker(device, emit),
-                SessionOutput::Pressed => {
-                    if self.body.as_ref().is_some_and(|body| body.resets_by_button()) {
-                        self.asked_on_a_tracker(device, emit);
+                SessionOutput::HeadingReset { address } => {
+                    let asked = self.devices[index].route(address, &self.sensors).sensor;
+                    self.asked_on_a_tracker(device, asked, emit);
+                }
+                SessionOutput::Pressed { address } => {
+                    let pressed = self.devices[index].route(address, &self.sensors).sensor;
+                    let body = self.wearer_of(pressed).map(|body| &self.bodies[usize::from(body)]);
+                    let human = body.and_then(|body| body.human.as_ref());
+                    if human.is_some_and(|human| human.resets_by_button()) {
+                        self.asked_on_a_tracker(device, pressed, emit);
                     }
                 }
                 SessionOutput::Warning(text) => emit(Output::Warning { device, text: &text }),
@@ -414,8 +417,7 @@ impl Pipeline {
             {
                 sensor.restart();
                 self.attached.restart(index);
-                self.body.iter_mut().for_each(|body| body.restart(index));
-                self.chain.iter_mut().for_each(|chain| chain.restart(index));
+                self.bodies.iter_mut().for_each(|body| body.restart(index));
             }
             self.frames.sample(index, measured, stamp.is_late());
         }
@@ -440,8 +442,7 @@ impl Pipeline {
             keyframes,
             exercise,
             naming,
-            body,
-            chain,
+            bodies,
             faults,
             attached,
             recoveries,
@@ -449,35 +450,28 @@ impl Pipeline {
         } = self;
         while let Some(frame) = frames.poll(*now) {
             estimate.fault = faults.as_mut().map(|faults| faults.frame(frame, room_transmitter));
-            if let Some(body) = body {
-                for (sensor, position_m) in body.brought_by_feet() {
-                    let position_m = room_transmitter.inverse_transform_point(&position_m.into()).coords;
-                    sensors[usize::from(sensor)].known_at(frame.t_valid, position_m);
-                }
+            for (sensor, position_m) in bodies.iter().flat_map(Wearer::brought_by_feet) {
+                let position_m = room_transmitter.inverse_transform_point(&position_m.into()).coords;
+                sensors[usize::from(sensor)].known_at(frame.t_valid, position_m);
             }
             estimate_frame(frame, sensors, field, room_transmitter, faults.as_deref(), estimate);
             attached.frame(frame, sensors, room_transmitter, estimate);
             estimate.sensors.iter_mut().for_each(SensorEstimate::withhold_non_finite);
-            if let Some(body) = body
-                && let Some(body) = body.frame(frame, estimate)
-            {
+            for body in bodies.iter_mut().filter_map(|body| body.frame(frame, estimate)) {
                 emit(Output::Body(body));
             }
-            if let Some(chain) = chain
-                && let Some(body) = chain.frame(frame)
-            {
-                emit(Output::Body(body));
-            }
-            // Never both: a stage has one skeleton.
-            let segments = body.as_ref().and_then(|body| body.latest());
-            let body = segments.or_else(|| chain.as_ref().and_then(|chain| chain.latest()));
+            let latest = |index: BodyIndex| bodies.get(usize::from(index))?.latest();
             if let Some(keyframes) = keyframes {
                 keyframes.frame(estimate);
             }
             recoveries.closed(estimate.frame, estimate.t_valid);
             emit(Output::Estimate(estimate));
-            if let Some(naming) = naming {
-                naming.push(estimate, segments, emit);
+            for naming in naming.iter_mut() {
+                let human = naming.body().and_then(|index| bodies.get(usize::from(index))?.human.as_ref());
+                naming.push(estimate, human.and_then(|human| human.latest()), emit);
+            }
+            if !naming.is_empty() {
+                emit(Output::Named);
             }
             for (index, sensor) in sensors.iter_mut().enumerate() {
                 sensor.outcomes(index as SensorIndex, frame, emit);
@@ -486,23 +480,42 @@ impl Pipeline {
             if let Some(keyframes) = keyframes {
                 keyframes.outcomes(estimate, emit);
             }
-            exercise.frame(estimate, body, &mut |outcome| emit(Output::Outcome(outcome)));
+            exercise.frame(estimate, latest, &mut |outcome| emit(Output::Outcome(outcome)));
         }
     }
 
     fn name_with(&mut self, bytes: &[u8], emit: &mut impl FnMut(Output<'_>)) {
-        let segments = self.body.is_some();
-        match Naming::new(bytes, self.sensors.iter().map(Sensor::name), segments) {
-            Ok(mut naming) => {
-                if let Some(before) = &mut self.naming {
-                    naming.follow(before, self.estimate.t_valid, emit);
-                }
-                self.naming = Some(Box::new(naming));
-                self.models.insert_network(bytes);
-            }
-            // Whoever sends one has looked first, to say what is wrong.
-            Err(_) => self.models_refused += 1,
+        // Whoever sends one has looked first, to say what is wrong.
+        let Ok(model) = segments::Model::from_bytes(bytes) else {
+            self.models_refused += 1;
+            return;
+        };
+        let whose: Vec<Option<BodyIndex>> = match self.bodies.len() {
+            0 => vec![None],
+            count => (0..count).map(|body| Some(body as BodyIndex)).collect(),
+        };
+        let (sensors, worn_by) = (&self.sensors, &self.worn_by);
+        let mut made = Vec::with_capacity(whose.len());
+        for body in whose {
+            let names = sensors
+                .iter()
+                .zip(worn_by)
+                .map(|(sensor, worn_by)| (worn_by.is_none() || *worn_by == body).then_some(sensor.name()));
+            let human = body.is_some_and(|body| self.bodies[usize::from(body)].human.is_some());
+            // A person of whom too little is seen is not named.
+            made.extend(Naming::new(model.clone(), names, body, human));
         }
+        if made.is_empty() {
+            self.models_refused += 1;
+            return;
+        }
+        for before in &mut self.naming {
+            if let Some(naming) = made.iter_mut().find(|naming| naming.body() == before.body()) {
+                naming.follow(before, self.estimate.t_valid, emit);
+            }
+        }
+        self.naming = made;
+        self.models.insert_network(bytes);
     }
 
     /// The newest record of a magnetic sensor that was believed in the last frame: capture time, and sensor to transmitter, m,
@@ -513,10 +526,11 @@ impl Pipeline {
         Some((believed.t, believed.pose))
     }
 
-    /// The IMU on each segment of the human body, by `BodySegment::index`: as the stage file has it, or as the last mounting
-    /// found it. `None` where a segment wears none; all are without a human body.
-    pub fn body_imus(&self) -> [Option<SensorIndex>; SEGMENTS] {
-        self.body.as_ref().map_or([None; SEGMENTS], |body| *body.imus())
+    /// The IMU on each segment of a human body, by `BodySegment::index`: as the stage file has it, or as the last mounting
+    /// found it. `None` where a segment wears none; all are where this is no human body.
+    pub fn body_imus(&self, body: BodyIndex) -> [Option<SensorIndex>; SEGMENTS] {
+        let human = self.bodies.get(usize::from(body)).and_then(|body| body.human.as_ref());
+        human.map_or([None; SEGMENTS], |human| *human.imus())
     }
 
     /// Which unit is the sensor now: the serial number that its device reports, or else that of the stage file, or else its name.

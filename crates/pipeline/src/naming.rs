@@ -11,6 +11,7 @@ use posed_drivers::Timestamp;
 
 use posed_fusion::body::BodySegment;
 use posed_motion::segments::{Labeller, Model, Position, Tick};
+use posed_stage::BodyIndex;
 use posed_stage::input::SensorIndex;
 use posed_stage::output::{self, Body, Estimate, Outcome, OutcomeKind, Output, SegmentEvent};
 
@@ -22,9 +23,12 @@ const GRACE_S: f64 = 0.5;
 /// It begins after so long, s, though a joint is not there: a sensor that is broken is no reason to say nothing.
 const LATEST_START_S: f64 = 3.0;
 
-/// A model at work on a stage's sensors.
+/// A model at work on a stage's sensors, or on those of one body.
 #[derive(Clone, Debug, State)]
 pub(super) struct Naming {
+    /// Whose motion it names; `None` on a stage without bodies.
+    #[state(keep)]
+    body: Option<BodyIndex>,
     #[state(keep)]
     model: Model,
     labeller: Labeller,
@@ -59,21 +63,21 @@ struct Open {
 }
 
 impl Naming {
-    /// A model file at work on sensors of these names, and on the body's segments where there are some.
+    /// A model at work on sensors of these names, those that somebody else wears being left out, and on the segments of a human body where there is one.
     ///
     /// # Errors
-    /// One sentence: the bytes are no model, or most of its joints are no sensors here.
+    /// One sentence: most of its joints are no sensors here.
     pub(super) fn new<'a>(
-        model: &[u8],
-        names: impl Iterator<Item = &'a str> + Clone,
-        body: bool,
+        model: Model,
+        names: impl Iterator<Item = Option<&'a str>> + Clone,
+        body: Option<BodyIndex>,
+        human: bool,
     ) -> Result<Self, String> {
-        let model = Model::from_bytes(model).map_err(|error| error.to_string())?;
-        let segments = BodySegment::ALL.map(BodySegment::name).into_iter().filter(|_| body);
-        let _ = model.columns(names.clone().chain(segments))?;
+        let segments = BodySegment::ALL.map(BodySegment::name).into_iter().filter(|_| human);
+        let _ = model.columns(names.clone().flatten().chain(segments))?;
         let joint = |name: &String| Joint {
-            sensor: names.clone().position(|known| known == name).map(|index| index as SensorIndex),
-            segment: BodySegment::named(name).map(BodySegment::index).filter(|_| body),
+            sensor: names.clone().position(|known| known == Some(name)).map(|index| index as SensorIndex),
+            segment: BodySegment::named(name).map(BodySegment::index).filter(|_| human),
         };
         let joints: Vec<Joint> = model.card.preparation.joints.iter().map(joint).collect();
         Ok(Self {
@@ -82,6 +86,7 @@ impl Naming {
             joints,
             first: None,
             begun: false,
+            body,
             model,
             open: VecDeque::with_capacity(OPEN),
             segments: 0,
@@ -91,11 +96,16 @@ impl Naming {
 
     /// Takes the place of another model, whose open segments nobody will decide on.
     pub(super) fn follow(&mut self, before: &mut Self, t: Timestamp, emit: &mut impl FnMut(Output<'_>)) {
-        let Self { model, open, segments, last, .. } = before;
+        let Self { body, model, open, segments, last, .. } = before;
         self.segments = *segments;
         let gone = std::mem::take(open);
-        let mut events = Events { model, open, segments, last, t_decided: t, emit };
+        let mut events = Events { body: *body, model, open, segments, last, t_decided: t, emit };
         gone.into_iter().for_each(|open| events.withdraw(open));
+    }
+
+    /// Whose motion it names; `None` on a stage without bodies.
+    pub(super) fn body(&self) -> Option<BodyIndex> {
+        self.body
     }
 
     /// Takes the next frame.
@@ -115,17 +125,18 @@ impl Naming {
         let waits = self.positions.iter().any(Option::is_none)
             && estimate.t_valid.seconds_since(first) < LATEST_START_S;
         self.begun |= !waits;
-        let Self { model, labeller, positions, open, segments, last, .. } = self;
-        let mut events = Events { model, open, segments, last, t_decided: estimate.t_valid, emit };
+        let Self { body, model, labeller, positions, open, segments, last, .. } = self;
+        let mut events =
+            Events { body: *body, model, open, segments, last, t_decided: estimate.t_valid, emit };
         if self.begun {
             labeller.push(model, estimate.t_valid.as_secs_f64(), positions, &mut |tick| events.take(tick));
         }
-        emit(Output::Named);
     }
 }
 
 /// From ticks to events, during one frame.
 struct Events<'a, F> {
+    body: Option<BodyIndex>,
     model: &'a Model,
     open: &'a mut VecDeque<Open>,
     segments: &'a mut u64,
@@ -196,8 +207,14 @@ impl<F: FnMut(Output<'_>)> Events<'_, F> {
     fn event(&mut self, event: SegmentEvent, segment: u64, class: u16, start_s: f64, confidence: f64) {
         let label = self.model.card.labels[usize::from(class)].clone();
         let delay_s = Labeller::delay_s(self.model);
-        let what =
-            OutcomeKind::MotionSegment(output::MotionSegment { event, segment, label, confidence, delay_s });
+        let what = OutcomeKind::MotionSegment(output::MotionSegment {
+            event,
+            body: self.body,
+            segment,
+            label,
+            confidence,
+            delay_s,
+        });
         let t_valid = Timestamp::from_secs_f64(start_s);
         (self.emit)(Output::Outcome(&Outcome { t_valid, t_decided: self.t_decided, what }));
     }

@@ -12,8 +12,8 @@ pub struct PipelineStatus {
     pub devices: Vec<DeviceStatus>,
     /// One per sensor, in the stage's order.
     pub sensors: Vec<SensorStatus>,
-    /// The body, human or a chain of hinges; absent where nobody wears the sensors.
-    pub body: Option<BodyStatus>,
+    /// One per body of the stage, human or a chain of hinges; `None` where it wears no sensor.
+    pub bodies: Vec<Option<BodyStatus>>,
     /// Models and networks that were not swapped in: their numbers are wrong, or they speak of what the stage does not have.
     pub models_refused: u64,
     /// Requests that could not be carried out; they changed nothing.
@@ -25,7 +25,7 @@ pub struct PipelineStatus {
     pub begun_anew: u64,
 }
 
-/// What is known of the body that wears the sensors.
+/// What is known of a body.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BodyStatus {
     /// Whether it is known how the sensors sit, given or by calibration; without, no body is published.

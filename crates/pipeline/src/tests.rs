@@ -189,6 +189,10 @@ fn samples_without_sense_are_never_good() {
     assert_eq!(good, 0);
 }
 
+fn model(file: &[u8]) -> segments::Model {
+    segments::Model::from_bytes(file).unwrap()
+}
+
 /// A model of two joints with random weights, as a file.
 fn random_model(joints: [&str; 2]) -> Vec<u8> {
     use posed_motion::segments::{Options, Sequence, Trainer};
@@ -213,7 +217,7 @@ fn a_network_of_other_sensors_is_refused() {
         pipeline.push(&Entry { t: Timestamp::ZERO, input }, &mut |output| panic!("{output:?}"));
     }
     assert_eq!(pipeline.status().models_refused, 2);
-    assert!(pipeline.naming.is_none());
+    assert!(pipeline.naming.is_empty());
 }
 
 /// Joints that are not there yet, and a body that from one frame to the next stands elsewhere, for trackers show its place now, are no
@@ -223,7 +227,8 @@ fn where_a_body_is_put_is_no_movement() {
     use posed_fusion::body::{ANGLES, AngleSpread, Heading, SEGMENTS, Skeleton, upright};
     use posed_stage::output::{Body, PositionSource, SegmentEstimate};
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/demo-moves.safetensors");
-    let mut naming = naming::Naming::new(&std::fs::read(path).unwrap(), [].into_iter(), true).unwrap();
+    let mut naming =
+        naming::Naming::new(model(&std::fs::read(path).unwrap()), [].into_iter(), Some(0), true).unwrap();
     let skeleton = Skeleton::from_height(1.75);
     let standing = [upright(); SEGMENTS];
     let mut labels = Vec::new();
@@ -239,6 +244,7 @@ fn where_a_body_is_put_is_no_movement() {
             ..SegmentEstimate::default()
         };
         let body = Body {
+            index: 0,
             t_valid: Timestamp::from_secs_f64(t_s),
             heading: Heading::Field,
             heading_sigma_rad: Some(0.02),
@@ -267,7 +273,9 @@ fn where_a_body_is_put_is_no_movement() {
 #[test]
 fn segments_are_announced_and_decided() {
     use posed_stage::output::{MotionSegment, PoseEstimate, SegmentEvent, SensorState};
-    let mut naming = naming::Naming::new(&random_model(["a", "b"]), ["a", "b"].into_iter(), false).unwrap();
+    let mut naming =
+        naming::Naming::new(model(&random_model(["a", "b"])), ["a", "b"].map(Some).into_iter(), None, false)
+            .unwrap();
     let mut estimate = Estimate { sensors: vec![SensorEstimate::default(); 2], ..Estimate::default() };
     let mut events: Vec<(f64, f64, MotionSegment)> = Vec::new();
     for frame in 0..1500_u32 {
@@ -300,7 +308,13 @@ fn segments_are_announced_and_decided() {
         });
         if frame == 700 {
             let bytes = posed_state::snapshot(&naming);
-            naming = naming::Naming::new(&random_model(["a", "b"]), ["a", "b"].into_iter(), false).unwrap();
+            naming = naming::Naming::new(
+                model(&random_model(["a", "b"])),
+                ["a", "b"].map(Some).into_iter(),
+                None,
+                false,
+            )
+            .unwrap();
             posed_state::restore(&mut naming, &bytes).unwrap();
         }
     }
@@ -321,7 +335,9 @@ fn segments_are_announced_and_decided() {
         assert!(ends.count() <= 1, "{segment:?}: {events:?}");
     }
     // A model that takes its place leaves nothing open, and goes on counting.
-    let mut next = naming::Naming::new(&random_model(["a", "b"]), ["a", "b"].into_iter(), false).unwrap();
+    let mut next =
+        naming::Naming::new(model(&random_model(["a", "b"])), ["a", "b"].map(Some).into_iter(), None, false)
+            .unwrap();
     next.follow(&mut naming, estimate.t_valid, &mut |output| {
         if let Output::Outcome(Outcome { what: OutcomeKind::MotionSegment(segment), .. }) = output {
             assert_eq!(segment.event, SegmentEvent::Withdrawn);

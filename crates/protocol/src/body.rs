@@ -17,7 +17,7 @@ pub(super) struct FigureBody<'a> {
 
 impl FigureBody<'_> {
     fn layout(&self) -> &[SegmentLayout] {
-        self.names.body().map_or(&[], |layout| &layout.segments)
+        self.names.body(self.body.index).map_or(&[], |layout| &layout.segments)
     }
 }
 
@@ -28,8 +28,9 @@ impl Serialize for FigureBody<'_> {
             Heading::Field => (HeadingSource::Field, 0.0),
             Heading::Held(held_s) => (HeadingSource::Held, held_s),
         };
-        let mut figure = serializer.serialize_struct("Figure", 9)?;
+        let mut figure = serializer.serialize_struct("Figure", 10)?;
         figure.serialize_field("t_s", &self.stamp.t_s())?;
+        figure.serialize_field("name", self.names.body_name(self.body.index))?;
         figure.serialize_field("heading", &source)?;
         figure.serialize_field("heading_held_s", &round::to(round::RATE, held_s))?;
         figure.serialize_field("heading_sigma_deg", &self.body.heading_sigma_rad.map(degrees))?;

@@ -141,6 +141,7 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
                         t_s,
                         event_id,
                         t_valid_s,
+                        body: segment.body.map(|body| names.body_name(body).to_owned()),
                         event: segment.event,
                         segment: segment.segment,
                         label: segment.label.clone(),

@@ -48,16 +48,16 @@ pub use encode::{Encoding, Payload};
 pub use message::{
     Answer, Begun, Change, Contacts, Data, Demonstration, Deviation, DeviceStatus, ErrorReply,
     ExerciseChange, ExerciseEvent, Exercises, Fault, FaultChange, FieldChange, FieldEvent, Figure,
-    FigureSegment, HeadingSource, Hello, HelloSensor, Job, JobState, Jobs, JointEntry, Judged, KeptExercise,
-    KeptFile, KeyPose, LinkState, ListedSessions, MapVersion, Measured, OkReply, People, PlanProgress, Plans,
-    Problem, Quality, RecordingBegun, RecordingStatus, Recordings, RelatedClock, ReplayStatus, Report,
-    Resumed, RunningSession, ScrewMotion, SegmentBody, SegmentEntry, SensorEntry, SensorStatus, Sensors,
-    ServerMessage, SessionBegun, Sessions, Shown, Spoken, StageEntry, StageLatency, StagePresence, Stages,
-    Started, Status, Tracked, TruthEntry, Truths,
+    FigureSegment, HeadingSource, Hello, HelloBody, HelloSensor, Job, JobState, Jobs, JointEntry, Judged,
+    KeptExercise, KeptFile, KeyPose, LinkState, ListedSessions, MapVersion, Measured, OkReply, People,
+    PlanProgress, Plans, Problem, Quality, RecordingBegun, RecordingStatus, Recordings, RelatedClock,
+    ReplayStatus, Report, Resumed, RunningSession, ScrewMotion, SegmentBody, SegmentEntry, SensorEntry,
+    SensorStatus, Sensors, ServerMessage, SessionBegun, Sessions, Shown, Spoken, StageEntry, StageLatency,
+    StagePresence, Stages, Started, Status, Tracked, TruthEntry, Truths,
 };
 pub use names::Names;
 pub use packed::{unpack, unpacker};
-pub use publisher::{Counters, Publisher, PublisherState, Stamp};
+pub use publisher::{Counters, Publisher, PublisherState, STREAMS, Stamp};
 pub use rate::Rate;
 #[doc(hidden)]
 pub use request::REQUEST_EXAMPLES;

@@ -6,9 +6,8 @@
 use posed_drivers::Timestamp;
 
 use crate::{Names, Stamp};
-use posed_stage::Stage;
-use posed_stage::layout::BodyLayout;
 use posed_stage::output::{Body, Estimate};
+use posed_stage::{BodyIndex, Stage};
 
 /// Numbers per sensor: position, orientation.
 const PER_SENSOR: usize = 7;
@@ -62,9 +61,9 @@ pub enum Data {
 pub struct Streams {
     list: Vec<Stream>,
     sensors: usize,
-    angles: Vec<usize>,
     poses_at: Option<usize>,
-    angles_at: Option<usize>,
+    /// By body: its stream, and which of its angles are in it.
+    angles: Vec<Option<(usize, Vec<usize>)>>,
     events_at: usize,
 }
 
@@ -81,19 +80,25 @@ impl Streams {
         };
         let poses: Vec<_> = names.sensors().flat_map(|(name, _)| pose(name)).collect();
         let poses_at = (!poses.is_empty()).then(|| add("poses", "MoCap", poses));
-        let angles = names.body().map_or_else(Vec::new, |layout: &BodyLayout| layout.shown_angles.clone());
-        let label = |index: &usize| {
-            let (joint, angle) = names.body().map_or(("", ""), |layout| layout.angle(*index));
-            format!("{joint}_{angle}")
+        let of_body = |body: BodyIndex| {
+            let layout = names.body(body).filter(|layout| !layout.shown_angles.is_empty())?;
+            let channel = |angle: &usize| {
+                let (joint, angle) = layout.angle(*angle);
+                Channel { label: format!("{joint}_{angle}"), kind: "JointAngle", unit: "degrees" }
+            };
+            let channels = layout.shown_angles.iter().map(channel).collect();
+            let what = match stage.bodies.len() {
+                1 => "joint angles".to_owned(),
+                _ => format!("{} joint angles", names.body_name(body)),
+            };
+            Some((add(&what, "MoCap", channels), layout.shown_angles.clone()))
         };
-        let channels =
-            angles.iter().map(|angle| Channel { label: label(angle), kind: "JointAngle", unit: "degrees" });
-        let angles_at = (!angles.is_empty()).then(|| add("joint angles", "MoCap", channels.collect()));
+        let angles = names.bodies().map(of_body).collect();
         let events_at = add("events", "Markers", Vec::new());
-        Self { list, sensors: names.sensor_count(), angles, poses_at, angles_at, events_at }
+        Self { list, sensors: names.sensor_count(), angles, poses_at, events_at }
     }
 
-    /// What to offer: poses, joint angles, events, in this order; events alone are always there.
+    /// What to offer: poses, joint angles of each body, events, in this order; events alone are always there.
     pub fn list(&self) -> &[Stream] {
         &self.list
     }
@@ -116,9 +121,10 @@ impl Streams {
 
     /// Joint angles of a body, degrees; NaN where one is not known. `None` on a stage whose sensors show no joint angle.
     pub fn body(&self, body: &Body) -> Option<Sample> {
+        let (stream, angles) = self.angles.get(usize::from(body.index))?.as_ref()?;
         let degrees = |angle: &usize| body.angles_rad[*angle].map_or(f64::NAN, f64::to_degrees);
-        let numbers = self.angles.iter().map(degrees).collect();
-        Some(Sample { stream: self.angles_at?, t: body.t_valid, data: Data::Numbers(numbers) })
+        let numbers = angles.iter().map(degrees).collect();
+        Some(Sample { stream: *stream, t: body.t_valid, data: Data::Numbers(numbers) })
     }
 
     /// An event: `json` is the message that our own clients get, `stamp` has its time.
@@ -181,9 +187,10 @@ mod tests {
         assert!(numbers[..7].iter().all(|value| value.is_nan()));
         assert_eq!(numbers[7..], [1.0, 2.0, 3.0, -0.5, 0.5, -0.5, 0.5]);
         let mut angles_rad = [None; ANGLES];
-        angles_rad[streams.angles[1]] = Some(std::f64::consts::PI);
+        angles_rad[streams.angles[0].as_ref().unwrap().1[1]] = Some(std::f64::consts::PI);
         let (heading, position_source) = (Heading::Field, PositionSource::Trackers);
         let body = Body {
+            index: 0,
             t_valid: Timestamp::ZERO,
             heading,
             heading_sigma_rad: Some(0.02),

@@ -1,15 +1,15 @@
 //! Names of a stage's sensors and devices, in the order of their indices.
 
-use posed_stage::Stage;
 use posed_stage::input::{DeviceIndex, SensorIndex};
 use posed_stage::layout::BodyLayout;
+use posed_stage::{BodyIndex, Stage};
 
 /// Names as messages carry them.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Names {
     devices: Vec<String>,
     sensors: Vec<SensorName>,
-    body: Option<BodyLayout>,
+    bodies: Vec<(String, Option<BodyLayout>)>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -31,13 +31,24 @@ impl Names {
         Self {
             devices: stage.devices.iter().map(|device| device.name.clone()).collect(),
             sensors: stage.sensors.iter().enumerate().map(sensor).collect(),
-            body: BodyLayout::of(stage),
+            bodies: stage.bodies.iter().map(|body| body.name.clone()).zip(BodyLayout::all(stage)).collect(),
         }
     }
 
-    /// Segments and angles of the body that wears the sensors; `None` on a stage without one.
-    pub fn body(&self) -> Option<&BodyLayout> {
-        self.body.as_ref()
+    /// Segments and angles of a body; `None` where there is no such body, or it wears no sensor.
+    pub fn body(&self, body: BodyIndex) -> Option<&BodyLayout> {
+        self.bodies.get(usize::from(body))?.1.as_ref()
+    }
+
+    /// A body's name; empty for an index that the stage does not have.
+    pub fn body_name(&self, body: BodyIndex) -> &str {
+        self.bodies.get(usize::from(body)).map_or("", |(name, _)| name)
+    }
+
+    /// Indices of all bodies.
+    pub fn bodies(&self) -> impl ExactSizeIterator<Item = BodyIndex> + use<> {
+        // There are no more than their indices can tell.
+        (0..self.bodies.len()).map(|index| index as BodyIndex)
     }
 
     /// A device's name; empty for an index that the stage does not have.

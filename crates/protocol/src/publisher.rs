@@ -7,20 +7,34 @@ use posed_drivers::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::{Encoding, Fields, Names, Payload, Topic, View, encode, round};
-use posed_stage::Stage;
+use posed_stage::{BodyIndex, MOST_BODIES, Stage};
 
 /// When and as which event a payload is published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stamp {
     /// The topic it is published on.
     pub topic: Topic,
-    /// Time of the message in microseconds since the stage's epoch; rises strictly within the topic.
+    /// On `body`, whose it is: each has times of its own. 0 on others.
+    #[serde(default)]
+    pub body: BodyIndex,
+    /// Time of the message in microseconds since the stage's epoch; rises strictly within the topic, and on `body` within each one's.
     pub t_us: i64,
     /// Stage-wide number of an event, from 1; `None` for states.
     pub event_id: Option<u64>,
 }
 
+/// Streams of messages, each with times that rise: the topics, and one more for every body after the first.
+pub const STREAMS: usize = Topic::COUNT + MOST_BODIES - 1;
+
 impl Stamp {
+    /// Which of the [`STREAMS`] it belongs to; topics are first, by their index.
+    pub fn stream(&self) -> usize {
+        match self.body {
+            0 => self.topic.index(),
+            body => (Topic::COUNT - 1 + usize::from(body)).min(STREAMS - 1),
+        }
+    }
+
     /// Time of the message since the stage's epoch, s.
     pub fn t_s(&self) -> f64 {
         round::seconds(self.t_us)
@@ -32,12 +46,12 @@ impl Stamp {
     }
 }
 
-/// Numbers given out so far: of events, and the newest time of each topic. The default has given out none.
+/// Numbers given out so far: of events, and the newest time of each stream. The default has given out none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counters {
     events: u64,
-    #[serde(with = "by_topic")]
-    last_t_us: [Option<i64>; Topic::COUNT],
+    #[serde(with = "by_index")]
+    last_t_us: [Option<i64>; STREAMS],
 }
 
 impl Counters {
@@ -55,19 +69,21 @@ impl Counters {
             Payload::Jobs(jobs) => microseconds(Timestamp::from_secs_f64(jobs.t_s)),
             Payload::Sessions(sessions) => microseconds(Timestamp::from_secs_f64(sessions.t_s)),
         };
-        let last = &mut self.last_t_us[topic.index()];
-        let t_us = last.map_or(t_us, |last| t_us.max(last + 1));
-        *last = Some(t_us);
-        let event_id = topic.is_event().then(|| {
+        let body = if let Payload::Body(body) = payload { body.index } else { 0 };
+        let mut stamp = Stamp { topic, body, t_us, event_id: None };
+        let last = &mut self.last_t_us[stamp.stream()];
+        stamp.t_us = last.map_or(t_us, |last| t_us.max(last + 1));
+        *last = Some(stamp.t_us);
+        stamp.event_id = topic.is_event().then(|| {
             self.events += 1;
             self.events
         });
-        Stamp { topic, t_us, event_id }
+        stamp
     }
 
     /// Goes on after a stamp that was given elsewhere; one without an event number leaves the count of events.
     pub fn follow(&mut self, stamp: &Stamp) {
-        self.last_t_us[stamp.topic.index()] = Some(stamp.t_us);
+        self.last_t_us[stamp.stream()] = Some(stamp.t_us);
         if let Some(event_id) = stamp.event_id {
             self.events = event_id;
         }
@@ -75,7 +91,7 @@ impl Counters {
 
     /// Lets the times of all topics start anew; event numbers go on.
     pub fn rewind(&mut self) {
-        self.last_t_us = [None; Topic::COUNT];
+        self.last_t_us = [None; STREAMS];
     }
 
     /// Number of the newest event, 0 before the first.
@@ -84,26 +100,24 @@ impl Counters {
     }
 }
 
-/// A value per topic. What an earlier version wrote has fewer: topics that it did not know have given out nothing.
-mod by_topic {
+/// A value per topic or stream. What an earlier version wrote has fewer: those that it did not know have given out nothing.
+mod by_index {
     use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
-    use crate::Topic;
-
-    pub(super) fn serialize<T: Serialize, S: Serializer>(
-        values: &[T; Topic::COUNT],
+    pub(super) fn serialize<T: Serialize, S: Serializer, const N: usize>(
+        values: &[T; N],
         serializer: S,
     ) -> Result<S::Ok, S::Error> {
         values.as_slice().serialize(serializer)
     }
 
-    pub(super) fn deserialize<'de, T, D>(deserializer: D) -> Result<[T; Topic::COUNT], D::Error>
+    pub(super) fn deserialize<'de, T, D, const N: usize>(deserializer: D) -> Result<[T; N], D::Error>
     where
         T: Copy + Default + Deserialize<'de>,
         D: Deserializer<'de>,
     {
         let read = Vec::<T>::deserialize(deserializer)?;
-        let mut values = [T::default(); Topic::COUNT];
+        let mut values = [T::default(); N];
         let known = values.get_mut(..read.len());
         known.ok_or_else(|| de::Error::custom("more topics than this version knows"))?.copy_from_slice(&read);
         Ok(values)
@@ -130,7 +144,7 @@ pub struct Publisher {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PublisherState {
     counters: Counters,
-    #[serde(with = "by_topic")]
+    #[serde(with = "by_index")]
     seq: [u64; Topic::COUNT],
 }
 
@@ -206,6 +220,7 @@ mod tests {
             name: name.into(),
             device: "flock".into(),
             address,
+            body: None,
             segment: None,
             mount_quat_wxyz: None,
             offset_m: None,
@@ -216,7 +231,7 @@ mod tests {
         };
         stage.sensors = vec![sensor("left", 1), sensor("ri\"ght", 2)];
         stage.sensors[0].segment = Some("forearm_r".into());
-        stage.body = Some(toml::from_str("height_m = 1.8").unwrap());
+        stage.bodies = vec![toml::from_str("height_m = 1.8").unwrap()];
         stage
     }
 
@@ -246,6 +261,7 @@ mod tests {
     /// An arm whose forearm's sensor is dead.
     fn figure() -> Body {
         let mut body = Body {
+            index: 0,
             t_valid: Timestamp::from_nanos(2_000_000),
             heading: Heading::Held(1.25),
             heading_sigma_rad: Some(0.02),
@@ -423,6 +439,6 @@ mod tests {
         let state = read(10).unwrap();
         assert_eq!((state.seq[9], state.seq[10]), (9, 0));
         assert_eq!((state.counters.last_t_us[9], state.counters.last_t_us[10]), (Some(9), None));
-        assert!(read(Topic::COUNT).is_ok() && read(Topic::COUNT + 1).is_err());
+        assert!(read(STREAMS).is_ok() && read(STREAMS + 1).is_err());
     }
 }

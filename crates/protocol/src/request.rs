@@ -161,9 +161,12 @@ pub enum Call {
         /// Only these channels; absent: those that do the same in every repetition.
         #[serde(default)]
         channels: Option<Vec<String>>,
-        /// Who moves; absent: `default`.
+        /// Who moves; absent: the name of the body, or `default`.
         #[serde(default)]
         subject: Option<String>,
+        /// The body whose joints are looked at, by name; absent: the one that is called as the subject, or else the first one.
+        #[serde(default)]
+        body: Option<String>,
     },
     /// Counts exercises from 0 for a subject, and no others.
     #[serde(rename = "exercise.select")]
@@ -179,9 +182,12 @@ pub enum Call {
         /// Rest after a set, s; absent: none.
         #[serde(default)]
         rest_s: Option<f64>,
-        /// Who moves; absent: `default`.
+        /// Who moves; absent: the name of the body, or `default`.
         #[serde(default)]
         subject: Option<String>,
+        /// The body whose joints are counted, by name; absent: the one that is called as the subject, or else the first one.
+        #[serde(default)]
+        body: Option<String>,
         /// For each sensor that the exercises were taught with the one that this subject wears; absent: the same.
         #[serde(default)]
         sensors: Option<BTreeMap<String, String>>,
@@ -233,10 +239,16 @@ pub enum Call {
         /// How much is asked for; absent: `full`.
         #[serde(default)]
         how: Option<Thoroughness>,
+        /// The person, by the name of the body; absent: the only one.
+        #[serde(default)]
+        body: Option<String>,
     },
     /// The person looks this way now, upright: the headings of IMUs on the body that no field tells begin anew from it. Gyros drift; this takes it away.
     #[serde(rename = "heading.reset")]
     HeadingReset {
+        /// The person, by the name of the body; absent: the one who wears the IMU, or the only one.
+        #[serde(default)]
+        body: Option<String>,
         /// The IMU, by name; absent: all on the body.
         #[serde(default)]
         sensor: Option<String>,

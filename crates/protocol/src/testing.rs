@@ -21,6 +21,7 @@ pub(crate) fn body(t_ms: i64, orientations: &[UnitQuaternion<f64>; SEGMENTS]) ->
         })
         .collect();
     Body {
+        index: 0,
         t_valid: Timestamp::from_nanos(t_ms * 1_000_000),
         heading: Heading::Field,
         heading_sigma_rad: Some(0.02),

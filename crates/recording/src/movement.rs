@@ -19,9 +19,12 @@ pub enum MovementError {
     /// It cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
+    /// It is not said which of several bodies, or there is none of that name.
+    #[error("{0}")]
+    WhichBody(String),
     /// It holds no body.
     #[error(
-        "the recording holds no body: its stage has no [body] with `height_m`, or nobody knew how its sensors sat"
+        "the recording holds no such body: its stage has no [[body]] with `height_m`, or nobody knew how its sensors sat"
     )]
     NoBody,
     /// The animation cannot be written.
@@ -29,7 +32,7 @@ pub enum MovementError {
     Animation(#[from] AnimationError),
 }
 
-/// Writes the body of a recording as an animation; returns the number of its `body` messages, which are its frames. Segments that
+/// Writes a body of a recording, the one of that name or the only one, as an animation; returns the number of its `body` messages, which are its frames. Segments that
 /// nothing showed stand as their parents do. The hips are where the pelvis, or else the first segment with a position, puts them;
 /// without any position they are above the room's origin, with the lower foot on the floor. `progress` receives the bytes of the
 /// recording read so far.
@@ -40,12 +43,15 @@ pub fn animation(
     recording: &Path,
     output: &Path,
     format: Format,
+    body: Option<&str>,
     mut progress: impl FnMut(u64),
 ) -> Result<u64, MovementError> {
     let mut take = Take::open(recording)?;
     let stage = Stage::parse(&take.header().stage_toml)
         .map_err(|problems| ReadError::NotARecording(format!("its stage file is wrong: {problems}")))?;
-    let skeleton = stage.body.as_ref().and_then(skeleton_of).ok_or(MovementError::NoBody)?;
+    let several = stage.bodies.len() > 1;
+    let stage = stage.of_body(body).map_err(MovementError::WhichBody)?;
+    let skeleton = stage.bodies.first().and_then(skeleton_of).ok_or(MovementError::NoBody)?;
     let mut animation = Animation::new(skeleton);
     let mut frames = 0;
     while let Some(item) = take.next() {
@@ -56,6 +62,9 @@ pub fn animation(
         }
         let figure: Figure = serde_json::from_slice(&message.json)
             .map_err(|error| ReadError::NotARecording(format!("a `body` message cannot be read: {error}")))?;
+        if several && stage.bodies.iter().all(|body| body.name != figure.name) {
+            continue;
+        }
         push(&mut animation, &skeleton, &figure);
         frames += 1;
     }

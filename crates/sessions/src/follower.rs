@@ -29,15 +29,83 @@ const FEWEST_ROWS: usize = 6;
 /// Follows a stage.
 #[derive(Debug)]
 pub struct Follower {
+    /// What each body did, in the stage's order.
+    bodies: Vec<Course>,
+    /// By subject, the body that is counted for it.
+    counted: BTreeMap<String, usize>,
+    lessons: BTreeMap<String, Arc<TaughtLesson>>,
+    /// By subject and exercise.
+    sets: BTreeMap<(String, String), SetInProgress>,
+}
+
+/// The newest angles of a body.
+#[derive(Debug)]
+struct Course {
+    /// Its name.
+    name: String,
     /// Name of each shown angle, and its index in [`Body::angles_rad`].
     angles: Vec<(String, usize)>,
     /// Times of the rows, s.
     t_s: VecDeque<f64>,
     /// Row by row, an angle in degrees per shown angle; NaN where it is not known.
     rows: VecDeque<f32>,
-    lessons: BTreeMap<String, Arc<TaughtLesson>>,
-    /// By subject and exercise.
-    sets: BTreeMap<(String, String), SetInProgress>,
+}
+
+impl Course {
+    fn new(name: &str, layout: Option<&BodyLayout>) -> Self {
+        let angles =
+            layout.into_iter().flat_map(|layout| layout.columns().zip(layout.shown_angles.iter().copied()));
+        Self { name: name.to_owned(), angles: angles.collect(), t_s: VecDeque::new(), rows: VecDeque::new() }
+    }
+
+    fn push(&mut self, body: &Body) {
+        let t_s = body.t_valid.as_secs_f64();
+        if self.angles.is_empty() || self.t_s.back().is_some_and(|last_s| t_s < last_s + ROW_INTERVAL_S) {
+            return;
+        }
+        while self.t_s.len() >= ROWS || self.t_s.front().is_some_and(|first_s| *first_s < t_s - MEMORY_S) {
+            self.t_s.pop_front();
+            self.rows.drain(..self.angles.len());
+        }
+        self.t_s.push_back(t_s);
+        let angle = |(_, index): &(String, usize)| {
+            body.angles_rad[*index].map_or(f32::NAN, |angle_rad| angle_rad.to_degrees() as f32)
+        };
+        self.rows.extend(self.angles.iter().map(angle));
+    }
+
+    /// What the joints of a lesson did between two times.
+    fn courses(&self, lesson: &TaughtLesson, t_start_s: f64, t_end_s: f64) -> Vec<JointCourse> {
+        let first = self.t_s.partition_point(|t_s| *t_s < t_start_s);
+        let after = self.t_s.partition_point(|t_s| *t_s <= t_end_s);
+        let known_from_s = self.t_s.front().copied().unwrap_or(f64::INFINITY);
+        // What began before the oldest row was not seen from its beginning.
+        if t_start_s < known_from_s || after < first + FEWEST_ROWS {
+            return Vec::new();
+        }
+        let course = |(joint, taught): (u32, &LessonJoint)| {
+            let column = self.angles.iter().position(|(name, _)| *name == taught.name)?;
+            let angle = |row: usize| f64::from(self.rows[row * self.angles.len() + column]);
+            let known = (first..after).map(|row| (self.t_s[row], angle(row)));
+            let known: Vec<(f64, f64)> = known.filter(|(_, angle)| angle.is_finite()).collect();
+            let ends = [(t_start_s, 0.0), (t_end_s, 0.0)];
+            let times = ends[..1].iter().chain(&known).chain(&ends[1..]);
+            let times: Vec<f64> = times.map(|(t_s, _)| *t_s).collect();
+            if known.is_empty() || times.windows(2).any(|pair| pair[1] - pair[0] > GAP_S) {
+                return None;
+            }
+            let values: Vec<f64> = known.iter().map(|(_, angle)| *angle).collect();
+            let (least, greatest) = bounds(&values);
+            Some(JointCourse {
+                joint,
+                name: taught.name.clone(),
+                least_deg: degrees(least),
+                greatest_deg: degrees(greatest),
+                course_deg: resampled(&at_equal_times(&known, t_start_s, t_end_s), 1.0),
+            })
+        };
+        (0..).zip(&lesson.joints).filter_map(course).collect()
+    }
 }
 
 /// How far the set of a subject in an exercise is.
@@ -58,13 +126,10 @@ impl Default for SetInProgress {
 impl Follower {
     /// For a stage, with the models that are in use.
     pub fn new(stage: &Stage, models: &LoadedModels) -> Self {
-        let layout = BodyLayout::of(stage);
-        let angles =
-            layout.iter().flat_map(|layout| layout.columns().zip(layout.shown_angles.iter().copied()));
+        let bodies = stage.bodies.iter().zip(BodyLayout::all(stage));
         let mut follower = Self {
-            angles: angles.collect(),
-            t_s: VecDeque::new(),
-            rows: VecDeque::new(),
+            bodies: bodies.map(|(body, layout)| Course::new(&body.name, layout.as_ref())).collect(),
+            counted: BTreeMap::new(),
             lessons: BTreeMap::new(),
             sets: BTreeMap::new(),
         };
@@ -75,7 +140,11 @@ impl Follower {
     /// Takes an output; gives a repetition that is decided with it.
     pub fn output(&mut self, output: &Output<'_>) -> Option<Repetition> {
         match output {
-            Output::Body(body) => self.body(body),
+            Output::Body(body) => {
+                if let Some(course) = self.bodies.get_mut(usize::from(body.index)) {
+                    course.push(body);
+                }
+            }
             Output::Outcome(Outcome { what: OutcomeKind::ModelSwapped(model), .. }) => self.model(model),
             Output::Outcome(outcome) => {
                 let OutcomeKind::Exercise(ExerciseOutcome { subject, what }) = &outcome.what else {
@@ -104,23 +173,9 @@ impl Follower {
         self.lessons.insert(exercise.name.clone(), Arc::new(TaughtLesson::of(exercise)));
     }
 
-    fn body(&mut self, body: &Body) {
-        let t_s = body.t_valid.as_secs_f64();
-        if self.angles.is_empty() || self.t_s.back().is_some_and(|last_s| t_s < last_s + ROW_INTERVAL_S) {
-            return;
-        }
-        while self.t_s.len() >= ROWS || self.t_s.front().is_some_and(|first_s| *first_s < t_s - MEMORY_S) {
-            self.t_s.pop_front();
-            self.rows.drain(..self.angles.len());
-        }
-        self.t_s.push_back(t_s);
-        let angle = |(_, index): &(String, usize)| {
-            body.angles_rad[*index].map_or(f32::NAN, |angle_rad| angle_rad.to_degrees() as f32)
-        };
-        self.rows.extend(self.angles.iter().map(angle));
-    }
-
     fn state(&mut self, subject: &str, state: &ExerciseState) {
+        let body = self.bodies.iter().position(|body| Some(&body.name) == state.body.as_ref());
+        self.counted.insert(subject.to_owned(), body.unwrap_or(0));
         // What is no longer selected has ended.
         self.sets.retain(|(of, exercise), _| {
             of != subject || state.exercises.iter().any(|progress| progress.exercise == *exercise)
@@ -172,42 +227,21 @@ impl Follower {
             score: feedback.filter(|_| is_counted).map(|(_, feedback)| score(&feedback.score)),
             sentence: repetition.sentence(Language::English),
             sentence_de: repetition.sentence(Language::German),
-            joints: self.courses(&lesson, t_start_s, t_end_s),
+            joints: self.courses(subject, &lesson, t_start_s, t_end_s),
             lesson,
         })
     }
 
     /// What the joints of a lesson did between two times.
-    fn courses(&self, lesson: &TaughtLesson, t_start_s: f64, t_end_s: f64) -> Vec<JointCourse> {
-        let first = self.t_s.partition_point(|t_s| *t_s < t_start_s);
-        let after = self.t_s.partition_point(|t_s| *t_s <= t_end_s);
-        let known_from_s = self.t_s.front().copied().unwrap_or(f64::INFINITY);
-        // What began before the oldest row was not seen from its beginning.
-        if t_start_s < known_from_s || after < first + FEWEST_ROWS {
-            return Vec::new();
-        }
-        let course = |(joint, taught): (u32, &LessonJoint)| {
-            let column = self.angles.iter().position(|(name, _)| *name == taught.name)?;
-            let angle = |row: usize| f64::from(self.rows[row * self.angles.len() + column]);
-            let known = (first..after).map(|row| (self.t_s[row], angle(row)));
-            let known: Vec<(f64, f64)> = known.filter(|(_, angle)| angle.is_finite()).collect();
-            let ends = [(t_start_s, 0.0), (t_end_s, 0.0)];
-            let times = ends[..1].iter().chain(&known).chain(&ends[1..]);
-            let times: Vec<f64> = times.map(|(t_s, _)| *t_s).collect();
-            if known.is_empty() || times.windows(2).any(|pair| pair[1] - pair[0] > GAP_S) {
-                return None;
-            }
-            let values: Vec<f64> = known.iter().map(|(_, angle)| *angle).collect();
-            let (least, greatest) = bounds(&values);
-            Some(JointCourse {
-                joint,
-                name: taught.name.clone(),
-                least_deg: degrees(least),
-                greatest_deg: degrees(greatest),
-                course_deg: resampled(&at_equal_times(&known, t_start_s, t_end_s), 1.0),
-            })
-        };
-        (0..).zip(&lesson.joints).filter_map(course).collect()
+    fn courses(
+        &self,
+        subject: &str,
+        lesson: &TaughtLesson,
+        t_start_s: f64,
+        t_end_s: f64,
+    ) -> Vec<JointCourse> {
+        let body = self.counted.get(subject).copied().unwrap_or(0);
+        self.bodies.get(body).map_or_else(Vec::new, |body| body.courses(lesson, t_start_s, t_end_s))
     }
 }
 

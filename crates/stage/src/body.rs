@@ -1,7 +1,7 @@
-//! The `[body]` table: who wears the sensors, and how.
+//! The `[[body]]` tables: who wears the sensors, and how.
 
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// Names of the segments of the `human` skeleton, in the order of [`posed_fusion::body::BodySegment::ALL`]; a sensor with such a
 /// name, or such a `segment`, sits there.
@@ -42,10 +42,23 @@ pub(super) const MOVEMENTS: [&str; 11] = [
     "ankle_flexion",
 ];
 
-/// The body that wears the sensors.
+/// Index of a body in [`Stage::bodies`](crate::Stage::bodies).
+pub type BodyIndex = u8;
+
+/// Bodies of a stage at most.
+pub const MOST_BODIES: usize = 16;
+
+/// A body that wears sensors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Body {
+    /// Unique name, of letters, digits, `-` and `_`; must be given where there are several.
+    #[serde(default = "default_name")]
+    #[schemars(length(min = 1, max = 64))]
+    pub name: String,
+    /// Colour on the page, `#rrggbb`; absent: one of its own by its place among the bodies.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub color: Option<String>,
     /// Which segments there are and how they hang together.
     #[serde(default)]
     pub skeleton: Skeleton,
@@ -68,6 +81,24 @@ pub struct Body {
     /// For a recorded file: when which pose or movement was held.
     #[serde(default)]
     pub calibration: Vec<Calibration>,
+}
+
+fn default_name() -> String {
+    "person".to_owned()
+}
+
+/// A single body may stand as a table of its own.
+pub(super) fn one_or_several<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Body>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Written {
+        One(Box<Body>),
+        Several(Vec<Body>),
+    }
+    Ok(match Written::deserialize(from)? {
+        Written::One(body) => vec![*body],
+        Written::Several(bodies) => bodies,
+    })
 }
 
 /// Measured lengths of the human skeleton, between joint centres; absent ones follow from the height.

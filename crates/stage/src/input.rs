@@ -100,11 +100,17 @@ pub enum Model {
     },
     /// How the body's sensors sit, as a calibration found it.
     Mounting {
+        /// The body, by name; absent: the only one.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        body: Option<String>,
         /// One per sensor on the body.
         sensors: Vec<MountedSensor>,
     },
     /// How the sensors of a chain of hinges sit and where its axes are, as a calibration found it.
     Chain {
+        /// The body, by name; absent: the only one.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        body: Option<String>,
         /// One entry per segment of the stage file.
         calibration: Box<ChainCalibration>,
     },
@@ -170,6 +176,9 @@ pub enum Request {
         /// same.
         #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
         sensors: BTreeMap<String, String>,
+        /// The body whose joints are counted, by name; absent: the one that is called as the subject, or else the first one.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        body: Option<String>,
     },
     /// Counts a subject's exercises from 0 again; what is under way goes on.
     ExerciseReset {
@@ -187,6 +196,9 @@ pub enum Request {
     FieldFinish {},
     /// The person looks this way now, upright: the headings of IMUs that no field tells begin anew from it.
     HeadingReset {
+        /// The person, by the name of the body; absent: the one who wears the IMU, or the only one.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        body: Option<String>,
         /// The IMU, by name; absent: all on the body.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         sensor: Option<String>,
@@ -213,8 +225,8 @@ impl Model {
     pub fn replaced_by(&self, newer: &Self) -> bool {
         match (self, newer) {
             (Self::Transmitter { .. }, Self::Transmitter { .. }) => true,
-            (Self::Mounting { .. }, Self::Mounting { .. }) => true,
-            (Self::Chain { .. }, Self::Chain { .. }) => true,
+            (Self::Mounting { body, .. }, Self::Mounting { body: of, .. }) => body == of,
+            (Self::Chain { body, .. }, Self::Chain { body: of, .. }) => body == of,
             (Self::AttachedImu { sensor, .. }, Self::AttachedImu { sensor: of, .. }) => sensor == of,
             (Self::TrackerNoise { device, .. }, Self::TrackerNoise { device: of, .. }) => device == of,
             (Self::Field { .. }, Self::Field { .. }) => true,
@@ -257,7 +269,7 @@ impl Model {
                     map.map().check().map_err(|reason| format!("map: {reason}"))?;
                 }
             }
-            Self::Mounting { sensors } => {
+            Self::Mounting { sensors, .. } => {
                 let good = |sensor: &MountedSensor| {
                     posed_geometry::isometry(sensor.offset_m, sensor.mount_quat_wxyz).is_some()
                 };
@@ -280,7 +292,7 @@ impl Model {
                     return Err("offset_m, quat_wxyz, clock_offset_s: give numbers up to 1e6 and a quaternion that is not zero".into());
                 }
             }
-            Self::Chain { calibration } => calibration.check()?,
+            Self::Chain { calibration, .. } => calibration.check()?,
             Self::Imu { unit, intrinsics } => {
                 intrinsics.check()?;
                 let norm = intrinsics.mag.as_ref().map_or(1.0, |mag| mag.norm);

@@ -1,4 +1,4 @@
-//! What a stage's body is made of, by name: its segments and joints, their angles, and which sensor sits where.
+//! What the bodies of a stage are made of, by name: its segments and joints, their angles, and which sensor sits where.
 //!
 //! In: a stage. Out: names and indices that the pipeline, messages and exercises share. It knows no measurement.
 
@@ -7,12 +7,12 @@ use std::ops::Range;
 
 use nalgebra::Vector3;
 
-use crate::Stage;
 use crate::input::SensorIndex;
+use crate::{BodyIndex, Stage};
 use posed_fusion::body::{ANGLE_NAMES, BodySegment, SEGMENTS, Skeleton, of_joint};
 use posed_fusion::chain::ChainSegment;
 
-/// Names and places of a stage's body: the human skeleton, or a chain of hinges.
+/// Names and places of one of a stage's bodies: the human skeleton, or a chain of hinges.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BodyLayout {
     /// Segments, in the order in which [`crate::output::Body`] has them.
@@ -46,14 +46,15 @@ pub struct Wearers {
 }
 
 impl Wearers {
-    /// The sensors of a stage that sit on segments of the human skeleton ([`segment_of`]), whether or not the stage has a body.
+    /// The sensors that a body of the stage wears ([`Stage::wearer_of`]) on segments of the human skeleton ([`segment_of`]).
     ///
     /// # Errors
     /// Two IMUs on one segment: their names, the earlier one first.
-    pub fn of(stage: &Stage) -> Result<Self, [String; 2]> {
+    pub fn of(stage: &Stage, body: BodyIndex) -> Result<Self, [String; 2]> {
         let mut wearers = Self::default();
         for (index, sensor) in (0..).zip(&stage.sensors) {
-            let Some(segment) = segment_of(sensor) else { continue };
+            let worn = stage.wearer_of(sensor) == Some(body);
+            let Some(segment) = segment_of(sensor).filter(|_| worn) else { continue };
             if !stage.is_imu(sensor) {
                 wearers.trackers.push((index, segment));
             } else if let Some(first) = wearers.imus[segment.index()].replace(index) {
@@ -68,7 +69,7 @@ impl Wearers {
     }
 }
 
-/// The lengths of a stage's body, m: in proportion to `body.height_m` ([`Skeleton::from_height`]), each replaced by what
+/// The lengths of a body, m: in proportion to `body.height_m` ([`Skeleton::from_height`]), each replaced by what
 /// `body.lengths_m` gives. `None` without a height, or with one that is not above 0.
 pub fn skeleton_of(body: &crate::Body) -> Option<Skeleton> {
     let height_m = body.height_m.filter(|height_m| height_m.is_finite() && *height_m > 0.0)?;
@@ -89,6 +90,14 @@ pub fn skeleton_of(body: &crate::Body) -> Option<Skeleton> {
     })
 }
 
+/// A body's colour, `#rrggbb`: that of the stage file, else one of its own by its place among the bodies; none is that of a fault.
+pub fn color_of(stage: &Stage, body: BodyIndex) -> String {
+    const USUAL: [&str; 6] = ["#6f94b8", "#9a7fc1", "#4f9d8f", "#b9769b", "#8a9a4b", "#7d8594"];
+    let at = usize::from(body);
+    let given = stage.bodies.get(at).and_then(|body| body.color.clone());
+    given.unwrap_or_else(|| USUAL[at % USUAL.len()].to_owned())
+}
+
 /// The segment of the human skeleton that a sensor sits on: by its `segment`, else by its name; `None` where that is none of
 /// its names.
 pub fn segment_of(sensor: &crate::Sensor) -> Option<BodySegment> {
@@ -102,17 +111,21 @@ pub fn offset_on(sensor: &crate::Sensor, segment: BodySegment) -> Option<Vector3
 }
 
 impl BodyLayout {
-    /// Of a stage whose body wears sensors. `None` without a body, without a sensor on the human skeleton, with two IMUs on one
+    /// Of all bodies of a stage, in their order: see [`Self::of`].
+    pub fn all(stage: &Stage) -> Vec<Option<Self>> {
+        (0..).zip(&stage.bodies).map(|(index, _)| Self::of(stage, index)).collect()
+    }
+
+    /// Of a body of a stage that wears sensors. `None` without that body, without a sensor on the human skeleton, with two IMUs on one
     /// of its segments, or with a custom skeleton that is no [`ChainLayout`].
     ///
     /// With an IMU on the body an angle is shown where both segments beside the joint wear a sensor; trackers alone show all of trunk and limbs, and of neck, wrists
     /// and ankles those below which one sits.
-    pub fn of(stage: &Stage) -> Option<Self> {
-        let body = stage.body.as_ref()?;
-        if body.skeleton != crate::Skeleton::Human {
-            return ChainLayout::of(stage).map(Self::of_chain);
+    pub fn of(stage: &Stage, body: BodyIndex) -> Option<Self> {
+        if stage.bodies.get(usize::from(body))?.skeleton != crate::Skeleton::Human {
+            return ChainLayout::of(stage, body).map(Self::of_chain);
         }
-        let wearers = Wearers::of(stage).ok()?;
+        let wearers = Wearers::of(stage, body).ok()?;
         if wearers == Wearers::default() {
             return None;
         }
@@ -189,10 +202,14 @@ pub struct ChainLayout {
 }
 
 impl ChainLayout {
-    /// Of a stage with a custom skeleton. `None` where that is no such chain: no segment, more than 10, a joint that is no hinge,
+    /// Of a body of the stage with a custom skeleton. `None` where that is no such chain: no segment, more than 10, a joint that is no hinge,
     /// a parent that is not above its child, or a segment without an IMU.
-    pub fn of(stage: &Stage) -> Option<Self> {
-        let body = stage.body.as_ref().filter(|body| body.skeleton == crate::Skeleton::Custom)?;
+    pub fn of(stage: &Stage, body: BodyIndex) -> Option<Self> {
+        let wearer = Some(body);
+        let body = stage.bodies.get(usize::from(body))?;
+        if body.skeleton != crate::Skeleton::Custom {
+            return None;
+        }
         if body.segments.is_empty() || body.segments.len() > SEGMENTS {
             return None;
         }
@@ -206,7 +223,9 @@ impl ChainLayout {
                 (None, _) => None,
                 _ => return None,
             };
-            let sits = |sensor: &crate::Sensor| stage.is_imu(sensor) && sensor.sits_on() == segment.name;
+            let sits = |sensor: &crate::Sensor| {
+                stage.is_imu(sensor) && sensor.sits_on() == segment.name && stage.wearer_of(sensor) == wearer
+            };
             imus.push(stage.sensors.iter().position(sits)? as SensorIndex);
             segments.push(ChainSegment { name: segment.name.clone(), hinge });
         }
@@ -226,7 +245,7 @@ mod tests {
     #[test]
     fn measured_lengths_take_the_place_of_those_of_the_height() {
         let text = "name = \"a\"\n[body]\nheight_m = 2.0\nlengths_m = { thigh = 0.41, shoulders = 0.4 }";
-        let skeleton = skeleton_of(Stage::parse(text).unwrap().body.as_ref().unwrap()).unwrap();
+        let skeleton = skeleton_of(&Stage::parse(text).unwrap().bodies[0]).unwrap();
         let by_height = Skeleton::from_height(2.0);
         assert_eq!((skeleton.thigh_m, skeleton.shoulder_half_m), (0.41, 0.2));
         assert_eq!(

@@ -37,7 +37,9 @@ use serde::{Deserialize, Serialize};
 use posed_motion::fault_map::FaultMap;
 
 pub use attached::AttachedImu;
-pub use body::{Body, Calibration, JointKind, Lengths, Mounting, SEGMENTS, SegmentSpec, Skeleton};
+pub use body::{
+    Body, BodyIndex, Calibration, JointKind, Lengths, MOST_BODIES, Mounting, SEGMENTS, SegmentSpec, Skeleton,
+};
 pub use check::{Report, check, check_in, check_table};
 pub use driver::{Driver, TimeBase};
 pub use field::FieldWatch;
@@ -75,8 +77,10 @@ pub struct Stage {
     pub sensors: Vec<Sensor>,
     /// What watches over the tracker's field; absent: nothing does.
     pub field: Option<FieldWatch>,
-    /// The body that wears the sensors; absent: nobody does.
-    pub body: Option<Body>,
+    /// The bodies that wear the sensors, each as `[[body]]`, a single one as `[body]`, too; none: nobody does.
+    #[serde(default, rename = "body", deserialize_with = "body::one_or_several")]
+    #[schemars(extend("x-or-table" = true))]
+    pub bodies: Vec<Body>,
     /// Key poses, live; absent: they are not looked for.
     pub keyframes: Option<Keyframes>,
     /// What names the segments of the motion; absent: nothing does.
@@ -190,6 +194,47 @@ impl Stage {
         sensors.filter(|(_, sensor)| !self.is_imu(sensor)).map(|(index, _)| index).collect()
     }
 
+    /// Which body wears a sensor, by its index in [`Stage::bodies`]: the one that its `body` names, or the only one there is. `None` where nobody does, as far as
+    /// that tells: it may sit on no segment.
+    pub fn wearer_of(&self, sensor: &Sensor) -> Option<BodyIndex> {
+        let at = match (&sensor.body, &*self.bodies) {
+            (Some(name), bodies) => bodies.iter().position(|body| body.name == *name)?,
+            (None, [_]) => 0,
+            (None, _) => return None,
+        };
+        BodyIndex::try_from(at).ok()
+    }
+
+    /// This stage with one of its bodies alone, and all of its sensors, for what works on one person: by its name, or the only one.
+    ///
+    /// # Errors
+    /// One sentence: there is no such body, or there are several and none was named.
+    pub fn of_body(mut self, name: Option<&str>) -> Result<Self, String> {
+        let names: Vec<String> = self.bodies.iter().map(|body| format!("`{}`", body.name)).collect();
+        let at = match (name, names.len()) {
+            (Some(name), _) => {
+                let at = self.bodies.iter().position(|body| body.name == name);
+                at.ok_or_else(|| match &*names {
+                    [] => format!("the stage has no body `{name}`: it has none"),
+                    _ => format!("the stage has no body `{name}`: it has {}", names.join(", ")),
+                })?
+            }
+            (None, 0 | 1) => return Ok(self),
+            (None, _) => {
+                return Err(format!("the stage has several bodies: name one of {}", names.join(", ")));
+            }
+        };
+        let body = self.bodies.swap_remove(at);
+        self.sensors.iter_mut().filter(|sensor| sensor.body.is_none()).for_each(|sensor| {
+            // Beside several bodies nobody wears it.
+            if names.len() > 1 {
+                sensor.body = Some(String::new());
+            }
+        });
+        self.bodies = vec![body];
+        Ok(self)
+    }
+
     /// Names of the sensors of magnetic trackers, in the order of [`Stage::sensors`].
     pub fn magnetic_sensors(&self) -> Vec<&str> {
         self.magnetic_indices().into_iter().map(|index| self.sensors[index].name.as_str()).collect()
@@ -300,6 +345,9 @@ pub struct Sensor {
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = 0.0, max = 100.0))]
     pub gyro_delay_ms: f64,
+    /// The body that wears it, by name; absent: the only one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub body: Option<String>,
     /// The body segment it sits on; absent: its name, if that is a segment's.
     pub segment: Option<String>,
     /// Unit quaternion that turns sensor coordinates into segment coordinates, scalar first.

@@ -11,6 +11,7 @@ pub use self::body::{Body, PositionSource, SegmentEstimate, SegmentState};
 pub use self::exercise::{
     ExerciseOutcome, ExerciseProgress, ExerciseState, ExerciseWhat, LiveHint, Repetition,
 };
+use crate::BodyIndex;
 use crate::input::{DeviceIndex, Model, SensorIndex, Truth};
 use posed_field::{PoleRun, Progress, Warning};
 use posed_fusion::ahrs::ImuSample;
@@ -35,7 +36,7 @@ pub enum Output<'a> {
         /// `true` = asserted.
         asserted: bool,
     },
-    /// There is news of the body; comes before the estimate of its frame, once per frame at most.
+    /// There is news of a body; comes before the estimate of its frame, once per frame and body at most.
     Body(&'a Body),
     /// A frame has closed: poses of all sensors at one time. Frames come in order of time.
     Estimate(&'a Estimate),
@@ -375,6 +376,9 @@ pub enum Phase {
 pub struct MotionSegment {
     /// What is reported.
     pub event: SegmentEvent,
+    /// Whose motion it is, by the index of the body in the stage; absent on a stage without bodies.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub body: Option<BodyIndex>,
     /// Number of the segment, from 1; the same in all reports of one segment, and it goes on over a change of models.
     pub segment: u64,
     /// What it shows: one of the model's labels.

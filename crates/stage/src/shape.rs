@@ -147,6 +147,10 @@ impl<'a, 't> Shape<'a, 't> {
                 self.table(schema, key.get_ref(), value.span(), table);
             }
             (Some("array"), DeValue::Array(items)) => self.array(schema, key, value, items),
+            // One of them may stand without the second pair of brackets.
+            (Some("array"), DeValue::Table(_)) if schema["x-or-table"] == true => {
+                self.value(&schema["items"], key, value);
+            }
             (Some("integer"), DeValue::Integer(_))
             | (Some("number"), DeValue::Integer(_) | DeValue::Float(_)) => {
                 self.number(schema, key, value);

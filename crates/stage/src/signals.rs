@@ -4,9 +4,11 @@
 //! What it never does: hand out a coasting or a suspect pose. Live, in recordings and in files the columns have the
 //! same names, so an exercise taught in one is counted in the others.
 
-use crate::Stage;
+use std::ops::Range;
+
 use crate::layout::BodyLayout;
 use crate::output::{Body, Estimate};
+use crate::{BodyIndex, Stage};
 
 /// A body that is older than the estimate by more than this counts as absent, s.
 pub const BODY_AGE_S: f64 = 0.05;
@@ -38,18 +40,27 @@ pub fn inertial_columns<'a>(sensors: impl IntoIterator<Item = &'a str>) -> Vec<S
 pub fn columns_of(stage: &Stage) -> Vec<String> {
     let mut columns = columns(stage.sensors.iter().map(|sensor| sensor.name.as_str()));
     columns.extend(InertialColumns::of(stage).names(stage));
-    columns.extend(BodyLayout::of(stage).iter().flat_map(BodyLayout::columns));
+    columns.extend(BodyColumns::of(stage).names(stage));
     columns
 }
 
-/// Those of [`columns_of`] that describe who exercises: where the stage has a body, not those of sensors that nobody wears, which
-/// may move for ever.
-pub fn columns_of_wearer(stage: &Stage) -> Vec<String> {
-    let Some(layout) = BodyLayout::of(stage) else { return columns_of(stage) };
-    let on_body =
-        |sensor: &&crate::Sensor| layout.segments.iter().any(|segment| segment.name == sensor.sits_on());
+/// What stands in front of the names of a body's angles, `NAME.`: nothing where the stage has one body.
+pub fn prefix_of(stage: &Stage, body: BodyIndex) -> String {
+    let name = stage.bodies.get(usize::from(body)).filter(|_| stage.bodies.len() > 1);
+    name.map_or_else(String::new, |body| format!("{}.", body.name))
+}
+
+/// Those of [`columns_of`] that describe who exercises: of this body, not those of sensors that nobody or somebody else wears, which
+/// may move for ever. All where nobody wears any.
+pub fn columns_of_wearer(stage: &Stage, body: BodyIndex) -> Vec<String> {
+    let Some(layout) = BodyLayout::of(stage, body) else { return columns_of(stage) };
+    let on_body = |sensor: &&crate::Sensor| {
+        stage.wearer_of(sensor) == Some(body)
+            && layout.segments.iter().any(|segment| segment.name == sensor.sits_on())
+    };
     let mut columns = columns(stage.sensors.iter().filter(on_body).map(|sensor| sensor.name.as_str()));
-    columns.extend(layout.columns());
+    let prefix = prefix_of(stage, body);
+    columns.extend(layout.columns().map(|column| format!("{prefix}{column}")));
     columns
 }
 
@@ -81,9 +92,9 @@ pub fn write(estimate: &Estimate, row: &mut Vec<Option<f64>>) {
 pub struct InertialColumns(Vec<usize>);
 
 impl InertialColumns {
-    /// The inertial sensors of a stage; none where it has a [`BodyLayout`].
+    /// The inertial sensors of a stage; none where a body of it has a [`BodyLayout`].
     pub fn of(stage: &Stage) -> Self {
-        if BodyLayout::of(stage).is_some() {
+        if BodyLayout::all(stage).iter().any(Option::is_some) {
             return Self::default();
         }
         let sensors = stage.sensors.iter().enumerate();
@@ -123,23 +134,47 @@ pub fn append_inertial(
     }
 }
 
-/// The body's part of the columns of a stage: which angles there are.
+/// The bodies' part of the columns of a stage: which angles there are, body by body.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub struct BodyColumns(Vec<usize>);
+pub struct BodyColumns(Vec<Vec<usize>>);
 
 impl BodyColumns {
-    /// The angles of a stage's body that its sensors can show; none without a [`BodyLayout`].
+    /// The angles of a stage's bodies that their sensors can show; none without a [`BodyLayout`].
     pub fn of(stage: &Stage) -> Self {
-        Self(BodyLayout::of(stage).map_or_else(Vec::new, |layout| layout.shown_angles))
+        let shown = |layout: Option<BodyLayout>| layout.map_or_else(Vec::new, |layout| layout.shown_angles);
+        Self(BodyLayout::all(stage).into_iter().map(shown).collect())
     }
 
-    /// Appends the body's angles, degrees, in the order of [`BodyLayout::columns`], to what [`write()`] and
-    /// [`InertialColumns::append`] wrote of the estimate. An angle that is not known is `None`; all are where there is no body,
+    /// The columns' names, `elbow_r_flexion_deg` and so on, with [`prefix_of`] in front; `stage` is the one that these were made of.
+    pub fn names(&self, stage: &Stage) -> Vec<String> {
+        let of = |(index, layout): (BodyIndex, Option<BodyLayout>)| {
+            let prefix = prefix_of(stage, index);
+            let columns: Vec<String> = layout.iter().flat_map(BodyLayout::columns).collect();
+            columns.into_iter().map(move |column| format!("{prefix}{column}"))
+        };
+        (0..).zip(BodyLayout::all(stage)).flat_map(of).collect()
+    }
+
+    /// Which of these columns are a body's, by their place among them; none where there is no such body.
+    pub fn range(&self, body: BodyIndex) -> Range<usize> {
+        let before = self.0.iter().take(usize::from(body)).map(Vec::len).sum();
+        before..before + self.0.get(usize::from(body)).map_or(0, Vec::len)
+    }
+
+    /// Appends the bodies' angles, degrees, in the order of [`Self::names`], to what [`write()`] and
+    /// [`InertialColumns::append`] wrote of the estimate; `latest` gives the newest of a body. An angle that is not known is `None`; all are where there is no body,
     /// or it is older than the estimate by more than [`BODY_AGE_S`].
-    pub fn append(&self, body: Option<&Body>, estimate: &Estimate, row: &mut Vec<Option<f64>>) {
+    pub fn append<'a>(
+        &self,
+        latest: impl Fn(BodyIndex) -> Option<&'a Body>,
+        estimate: &Estimate,
+        row: &mut Vec<Option<f64>>,
+    ) {
         let fresh = |body: &&Body| estimate.t_valid.seconds_since(body.t_valid) <= BODY_AGE_S;
-        let body = body.filter(fresh);
-        row.extend(self.0.iter().map(|angle| Some(body?.angles_rad[*angle]?.to_degrees())));
+        for (index, angles) in (0..).zip(&self.0) {
+            let body = latest(index).filter(fresh);
+            row.extend(angles.iter().map(|angle| Some(body?.angles_rad[*angle]?.to_degrees())));
+        }
     }
 }
 
@@ -219,11 +254,11 @@ mod tests {
                     [[sensor]]\nname = \"forearm_r\"\ndevice = \"flock\"\naddress = 1\n\
                     [[sensor]]\nname = \"wand\"\ndevice = \"flock\"\naddress = 2\n";
         let free: Stage = toml::from_str(text).unwrap();
-        assert_eq!(columns_of_wearer(&free), columns_of(&free));
+        assert_eq!(columns_of_wearer(&free, 0), columns_of(&free));
         let with_body: Stage = toml::from_str(&format!("{text}[body]\nheight_m = 1.8\n")).unwrap();
         let all = columns_of(&with_body);
         let expected: Vec<String> = all.iter().filter(|name| !name.starts_with("wand")).cloned().collect();
-        assert_eq!(columns_of_wearer(&with_body), expected);
+        assert_eq!(columns_of_wearer(&with_body, 0), expected);
         assert_eq!(expected.len(), all.len() - PARTS.len());
     }
 }

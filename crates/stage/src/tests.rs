@@ -35,7 +35,7 @@ fn the_example_of_the_design_is_right() {
     assert_eq!(stage.devices[0].port, "/dev/ttyUSB0");
     assert_eq!(stage.devices[0].driver.word(), "flock-of-birds");
     assert_eq!(stage.sensors[0].address, 1);
-    assert_eq!(stage.body.map(|body| body.skeleton), Some(Skeleton::Human));
+    assert_eq!(stage.bodies.first().map(|body| body.skeleton), Some(Skeleton::Human));
     assert_eq!(check(DESIGN).warnings, []);
 }
 
@@ -64,7 +64,7 @@ kind = "first_flexion"
 start_s = 0
 end_s = 2
 "#;
-    let body = Stage::parse(text).unwrap_or_else(|problems| panic!("{problems}")).body.unwrap();
+    let body = Stage::parse(text).unwrap_or_else(|problems| panic!("{problems}")).bodies.remove(0);
     assert_eq!(body.segments[1].kind, Some(JointKind::Hinge));
 }
 
@@ -83,7 +83,7 @@ fn what_of_a_chain_is_not_followed_is_reported() {
     let reported = |text: &str| {
         let report = check(text);
         assert!(report.ok, "{report:?}");
-        let is_followed = ChainLayout::of(&Stage::parse(text).unwrap()).is_some();
+        let is_followed = ChainLayout::of(&Stage::parse(text).unwrap(), 0).is_some();
         assert_eq!(is_followed, report.warnings.is_empty(), "{report:?}");
         report.warnings.into_iter().map(|warning| (warning.line, warning.message)).collect::<Vec<_>>()
     };

@@ -357,7 +357,7 @@ impl SlimeVrSession {
                         format!("sensor {sensor} of tracker {number} reports error {code}")
                     });
                 }
-                Ok(Item::Action(wire::FULL_RESET | wire::YAW_RESET)) => self.outbox.heading_reset(),
+                Ok(Item::Action(wire::FULL_RESET | wire::YAW_RESET)) => self.outbox.heading_reset(number),
                 Ok(Item::Battery { level, .. }) if level < LOW_BATTERY => {
                     self.outbox.warn(now, 0x2_0000 + u32::from(number), || {
                         format!("the battery of tracker {number} is at {:.0} %", level * 100.0)

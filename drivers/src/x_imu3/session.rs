@@ -185,7 +185,7 @@ impl XImu3Session {
         if let Data::Error(text) | Data::Notification(text) = stamped.data {
             let (address, kind) = (self.units[index].address, u32::from(stamped.data.letter()));
             if text.starts_with(wire::BUTTON_PRESSED) {
-                self.outbox.pressed();
+                self.outbox.pressed(address);
             }
             self.outbox.warn(now, kind << 16 | u32::from(address), || {
                 format!("unit {address} reports: {}", String::from_utf8_lossy(text))

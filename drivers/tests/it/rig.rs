@@ -42,7 +42,7 @@ impl<S: Session + Clone, D: Device> Rig<S, D> {
                 Output::Sample(sample) => self.samples.push(sample),
                 Output::Warning(warning) => self.warnings.push(warning),
                 Output::SetRts(on) => self.rts = Some(on),
-                Output::StateChanged | Output::HeadingReset | Output::Pressed => {}
+                Output::StateChanged | Output::HeadingReset { .. } | Output::Pressed { .. } => {}
             }
         }
     }

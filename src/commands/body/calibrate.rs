@@ -26,6 +26,9 @@ pub(super) struct Calibrate {
     /// What is done: two poses; also elbows and knees; or every limb, which also finds which sensor sits where.
     #[arg(long, value_parser = ["quick", "full", "assign"], default_value = "full")]
     how: String,
+    /// Whom, by the name of the body, where the stage has several.
+    #[arg(long, value_name = "NAME")]
+    body: Option<String>,
     /// Where the daemon serves its page.
     #[arg(long, default_value = "127.0.0.1:8787", value_name = "HOST:PORT")]
     at: String,
@@ -45,7 +48,9 @@ pub(super) fn run(args: &Calibrate) -> Result<(), Error> {
     block_on(async {
         let mut daemon = Daemon::connect(args).await?;
         daemon.send(&json!({"type": "subscribe", "id": SUBSCRIBE, "topics": ["jobs"]})).await?;
-        daemon.send(&json!({"type": "body.calibrate", "id": BEGIN, "how": args.how})).await?;
+        daemon
+            .send(&json!({"type": "body.calibrate", "id": BEGIN, "how": args.how, "body": args.body}))
+            .await?;
         let mut end = End::new(None)?;
         let (mut number, mut reported) = (None, String::new());
         loop {

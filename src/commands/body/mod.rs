@@ -47,6 +47,9 @@ struct Solve {
     /// The stage file with the body; absent: the recording's own.
     #[arg(long, value_name = "S.toml")]
     stage: Option<PathBuf>,
+    /// The body of the stage, by name, where it has several.
+    #[arg(long, value_name = "NAME")]
+    body: Option<String>,
     /// Where segments and angles go; the human skeleton also to an animation that ends in .bvh, .trc, .glb, .vrm, .vrma, .usda, .c3d or .sto.
     #[arg(short, long, value_name = "ANGLES.csv")]
     output: PathBuf,
@@ -97,7 +100,9 @@ fn solve(args: &Solve) -> Result<(), Error> {
         (None, Some(stage)) => stage,
         (None, None) => return Err(Error::Usage("give --stage: a table does not know its body".into())),
     };
-    let body = stage.body.as_ref().ok_or_else(|| Error::failed("the stage file has no [body] table"))?;
+    let stage =
+        stage.of_body(args.body.as_deref()).map_err(|reason| Error::Failed(format!("--body: {reason}")))?;
+    let body = stage.bodies.first().ok_or_else(|| Error::failed("the stage file has no [body] table"))?;
     match body.skeleton {
         Skeleton::Custom if args.limbs == Limbs::Euler => {
             Err(Error::Usage("--limbs euler is of the human skeleton".into()))
@@ -116,6 +121,10 @@ fn places(stage: &Stage, imu: &Imu, segments: &[&str]) -> Vec<Option<usize>> {
         .iter()
         .map(|name| {
             let sensor = stage.sensors.iter().find(|sensor| sensor.name == *name);
+            if sensor.is_some_and(|sensor| stage.wearer_of(sensor).is_none()) {
+                // Somebody else's.
+                return None;
+            }
             let place = sensor.and_then(|sensor| sensor.segment.as_ref()).unwrap_or(name);
             segments.iter().position(|segment| segment == place)
         })

@@ -40,6 +40,9 @@ pub(crate) struct Args {
     /// Rows per second of a recording without a column `t`.
     #[arg(long, value_name = "HZ")]
     rate_hz: Option<f64>,
+    /// The body whose joints count, by name, of a recording with several.
+    #[arg(long, value_name = "NAME")]
+    body: Option<String>,
     /// Print one JSON object: counts per exercise.
     #[arg(long)]
     json: bool,
@@ -63,7 +66,7 @@ struct Counted {
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let exercises: Vec<Exercise> = args.exercises.iter().map(load).collect::<Result<_, _>>()?;
-    let streams = read(&args.input, args.rate_hz, &args.units, |columns| {
+    let streams = read(&args.input, args.rate_hz, &args.units, args.body.as_deref(), |columns| {
         let mut needed: Vec<String> = Vec::new();
         for exercise in &exercises {
             let of = columns_of(&exercise.channels, columns)

@@ -40,14 +40,20 @@ fn read(
     path: &Path,
     rate_hz: Option<f64>,
     units: &[Unit],
+    body: Option<&str>,
     needed: impl FnOnce(&[String]) -> Result<Option<Vec<String>>, String>,
 ) -> Result<Streams, Error> {
     let lacks = |sentence: String| Error::Failed(format!("{}: {sentence}", path.display()));
     if is_recording(path) {
-        let mut streams = Streams::read_recording(path).map_err(Error::failed)?;
+        let mut streams = Streams::read_recording(path, body).map_err(Error::failed)?;
         streams.columns = units::named(&streams.columns, units).map_err(lacks)?;
         needed(&streams.columns).map_err(lacks)?;
         return Ok(streams);
+    }
+    if body.is_some() {
+        return Err(Error::Usage(
+            "--body is for recordings: a table does not know whose its columns are".into(),
+        ));
     }
     let table = TableReader::open(path).map_err(Error::failed)?;
     let columns = table.columns().to_vec();

@@ -57,6 +57,9 @@ pub(crate) struct Args {
     /// Draw where the repetitions were seen.
     #[arg(long, value_name = "FILE.svg")]
     picture: Option<PathBuf>,
+    /// The body whose joints count, by name, of a recording with several.
+    #[arg(long, value_name = "NAME")]
+    body: Option<String>,
     /// Print one JSON object: accepted, reason, channels, what was seen.
     #[arg(long)]
     json: bool,
@@ -82,12 +85,13 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         return Err(Error::Usage("--name must not be empty".to_owned()));
     }
     let [from_s, to_s] = args.range()?;
-    let streams = read(&args.stream, args.rate_hz, &args.units, |columns| match &args.columns {
-        Some(channels) => columns_of(channels, columns)
-            .map(Some)
-            .map_err(|channel| format!("there is no channel `{channel}`")),
-        None => Ok(None),
-    })?;
+    let streams =
+        read(&args.stream, args.rate_hz, &args.units, args.body.as_deref(), |columns| match &args.columns {
+            Some(channels) => columns_of(channels, columns)
+                .map(Some)
+                .map_err(|channel| format!("there is no channel `{channel}`")),
+            None => Ok(None),
+        })?;
     let all = Stream { columns: &streams.columns, t_s: &streams.t_s, values: &streams.values };
     let stream = all.between(from_s, to_s);
     if stream.t_s.is_empty() {

@@ -59,7 +59,7 @@ pub(super) fn add_posture(
     stage: &Stage,
     span_s: [f64; 2],
 ) -> Result<(), Error> {
-    let body = stage.body.as_ref();
+    let body = stage.bodies.first();
     let skeleton = body.filter(|body| body.skeleton == posed_stage::Skeleton::Human).and_then(skeleton_of);
     let skeleton = skeleton
         .ok_or_else(|| Error::failed("--n-pose needs the human skeleton with `height_m` in [body]"))?;
@@ -82,7 +82,7 @@ pub(super) fn add_posture(
 
 /// The names of the sensors that sit on segments, and how they hang together.
 pub(super) fn of_stage(stage: &Stage, measured: &[Measured]) -> Result<(Vec<String>, Limbs), Error> {
-    let body = stage.body.as_ref().ok_or_else(|| Error::Failed("the stage file has no [body]".into()))?;
+    let body = stage.bodies.first().ok_or_else(|| Error::Failed("the stage file has no [body]".into()))?;
     let human = body.skeleton == posed_stage::Skeleton::Human;
     let parent = |name: &str| -> Option<&str> {
         if human {

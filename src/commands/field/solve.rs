@@ -89,6 +89,8 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     }
     let body = args.body.as_deref().map(|path| {
         let stage = Stage::load(path).map_err(Error::failed)?;
+        let one = |reason| Error::Failed(format!("{}: {reason} in a file of its own", path.display()));
+        let stage = stage.of_body(None).map_err(one)?;
         let (names, limbs) = limbs::of_stage(&stage, &args.bone)?;
         Ok((stage, names, limbs))
     });

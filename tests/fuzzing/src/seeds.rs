@@ -103,7 +103,7 @@ fn models() -> Vec<Model> {
         let mut rig = chain;
         rig.run_until(20.0);
         let stage = Stage::parse(leg::STAGE).expect("a stage");
-        let layout = ChainLayout::of(&stage).expect("a chain");
+        let layout = ChainLayout::of(&stage, 0).expect("a chain");
         calibrate(&layout.segments, &leg::epochs(&rig)).expect("it walks")
     };
     vec![
@@ -115,8 +115,8 @@ fn models() -> Vec<Model> {
             sigma_rotation_rad: 1e-3,
         },
         Model::Field { version: 2, map: Some(Prepared::new(map)) },
-        Model::Mounting { sensors: vec![mounted] },
-        Model::Chain { calibration: Box::new(calibration) },
+        Model::Mounting { body: None, sensors: vec![mounted] },
+        Model::Chain { body: None, calibration: Box::new(calibration) },
         Model::AttachedImu {
             sensor: "hand".into(),
             quat_wxyz: unit,
@@ -177,6 +177,7 @@ fn requests() -> Vec<Request> {
             exercises: vec!["wave".into()],
             plan: Plan { repetitions: Some(3), sets: Some(2), rest_s: 1.0 },
             sensors: [("wand".to_owned(), "forearm_r".to_owned())].into(),
+            body: None,
         },
         Request::ExerciseReset { subject: "a".into() },
         Request::FieldStart {

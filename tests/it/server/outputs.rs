@@ -24,6 +24,7 @@ fn body(t_ms: i64) -> Body {
     let t_valid = Timestamp::from_nanos(t_ms * 1_000_000);
     let (heading, position_source) = (Heading::Field, PositionSource::Trackers);
     Body {
+        index: 0,
         t_valid,
         heading,
         heading_sigma_rad: Some(0.02),

@@ -102,7 +102,13 @@ pub(crate) fn event(dice: &mut Dice, devices: &[Device], sensors: &[String]) -> 
                 rest_s: *dice.pick(&[0.0, 1.0, 4000.0, f64::NAN]),
             };
             let subject = format!("subject {}", dice.below(80));
-            Input::Request(Request::ExerciseSelect { subject, exercises, plan, sensors: Default::default() })
+            Input::Request(Request::ExerciseSelect {
+                subject,
+                exercises,
+                plan,
+                sensors: Default::default(),
+                body: None,
+            })
         }
         9 => Input::Model(Model::Exercise { exercise: Box::new(models::wave(&sensor(), dice)) }),
         10 => Input::Model(models::numbers(dice, &format!("d{device}"), &sensor())),

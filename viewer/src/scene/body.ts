@@ -151,6 +151,14 @@ export class BodyFigure {
     this.group.visible = false;
   }
 
+  /** The colour of segments that are as they should be, "#rrggbb". */
+  paint(colour: string): void {
+    for (const state of ["ok", "inferred"] as const) {
+      const material = this.materials[state];
+      if (material instanceof THREE.MeshStandardMaterial && material !== GHOST) material.color.set(colour);
+    }
+  }
+
   update({ segments, contacts }: { segments: readonly Drawn[]; contacts?: Contacts | null }, height_m: number | null): void {
     const scale = height_m ?? USUAL_HEIGHT_M;
     this.group.visible = true;

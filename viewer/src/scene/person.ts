@@ -50,13 +50,16 @@ export class Person {
     this.demonstrate(exercise);
   }
 
-  draw({ body, hello, version }: Model, now_ms: number): void {
+  draw({ body, looked, version }: Model, now_ms: number): void {
     this.element.hidden = body === null;
     if (body === null) return;
     const changed = this.drawn !== version;
     this.drawn = version;
-    const height_m = hello?.height_m ?? null;
-    if (changed) this.figure.update(body, height_m);
+    const height_m = looked?.height_m ?? null;
+    if (changed) {
+      if (looked) this.figure.paint(looked.color);
+      this.figure.update(body, height_m);
+    }
     if (this.scene === null && !this.element.hasChildNodes()) {
       try {
         this.scene = new Scene(this.label, this.room.group);

@@ -41,9 +41,9 @@ export class CalibrateRecordView implements View {
       return link.request(name === "" ? { type: "record.start" } : { type: "record.start", name });
     }));
     this.stop.addEventListener("click", acting(this.says, () => link.request({ type: "record.stop" })));
-    this.ahead.addEventListener("click", acting(this.says, () => link.request({ type: "heading.reset" })));
+    this.ahead.addEventListener("click", acting(this.says, () => link.request({ type: "heading.reset", ...context.model.about })));
     this.calibrate.addEventListener("click", acting(this.says, () =>
-      link.request({ type: "body.calibrate", how: this.how.value as Thoroughness })));
+      link.request({ type: "body.calibrate", how: this.how.value as Thoroughness, ...context.model.about })));
     this.quality.element.hidden = true;
     this.body.append(el("h2", {}, "Body"),
       el("div", { class: "row" }, el("label", {}, "What is done ", this.how), this.calibrate, this.ahead), this.prompt, this.quality.element);
@@ -65,7 +65,7 @@ export class CalibrateRecordView implements View {
   draw(_now: number, fresh: boolean): void {
     this.calibration.draw();
     if (!fresh) return;
-    const { status, jobs, hello } = this.context.model;
+    const { status, jobs, hello, looked } = this.context.model;
     const recording = status?.recording ?? null;
     const operates = hello?.role === "operate" && !status?.replay;
     this.start.disabled = !operates || recording !== null;
@@ -75,10 +75,10 @@ export class CalibrateRecordView implements View {
       : hello?.role === "watch" ? "watching only: an operator's token can record"
       : status?.replay ? "this is a replay; recordings belong to a live stage"
       : "not recording");
-    this.body.hidden = !hello?.skeleton || !!status?.replay;
-    this.how.parentElement!.hidden = hello?.skeleton !== "human";
+    this.body.hidden = !looked || !!status?.replay;
+    this.how.parentElement!.hidden = looked?.skeleton !== "human";
     // Where the field tells the headings nobody has to.
-    this.ahead.hidden = hello?.skeleton !== "human" || this.context.model.body?.heading !== "held";
+    this.ahead.hidden = looked?.skeleton !== "human" || this.context.model.body?.heading !== "held";
     this.ahead.disabled = !operates;
     const calibrations = jobs?.jobs.filter(({ kind }) => kind === "body.calibrate") ?? [];
     this.drawCalibration(calibrations[calibrations.length - 1], operates);

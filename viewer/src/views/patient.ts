@@ -9,7 +9,6 @@ import type { Context, View } from "../view";
 
 /** How long a sentence stands, ms: until the next repetition, or so long. */
 const SENTENCE_MS = 6000;
-const SUBJECT = "default";
 
 const WORDS = {
   en: {
@@ -51,8 +50,9 @@ export class PatientView implements View {
     this.element = el("div", { class: "far" }, el("div", { class: "far-words" }, this.name, this.large, this.small, this.sentence),
       this.person.element, words);
     context.model.listen((message) => {
-      if (message.type === "exercise" && (message.subject ?? SUBJECT) === SUBJECT) this.take(message);
-      else if (message.type === "session") this.takeSession(message.sessions.find(({ subject }) => subject === SUBJECT) ?? null);
+      const { subject: own } = context.model;
+      if (message.type === "exercise" && (message.subject ?? own) === own) this.take(message);
+      else if (message.type === "session") this.takeSession(message.sessions.find(({ subject }) => subject === own) ?? null);
       else if (message.type === "hello") this.state = this.session = this.ended = this.last = null;
     });
   }

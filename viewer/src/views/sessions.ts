@@ -67,9 +67,9 @@ export class SessionsView implements View {
     const begin = el("form", { class: "row" }, el("label", {}, "Who ", this.person), this.people,
       el("label", {}, "Plan ", this.plan), this.begin, this.end);
     begin.addEventListener("submit", acting(this.says, () => link.request({
-      type: "session.begin", person: this.person.value.trim(), plan: this.plan.value || null,
+      type: "session.begin", person: this.person.value.trim(), plan: this.plan.value || null, subject: model.subject,
     })));
-    this.end.addEventListener("click", acting(this.says, () => link.request({ type: "session.end" })));
+    this.end.addEventListener("click", acting(this.says, () => link.request({ type: "session.end", subject: model.subject })));
     const another = el("button", { id: "plan-another", type: "button", onclick: () => this.addStep(null) }, "Another exercise");
     const remove = el("button", { id: "plan-delete", type: "button" }, "Delete plan");
     const plan = el("form", {}, el("div", { class: "row" }, el("label", {}, "Name ", this.planName)), this.exercises, this.steps,
@@ -131,7 +131,7 @@ export class SessionsView implements View {
     this.changed = false;
     const { hello, status } = this.context.model;
     this.begin.disabled = hello?.role !== "operate" || !!status?.replay;
-    this.end.hidden = !this.running.some(({ subject }) => subject === "default");
+    this.end.hidden = !this.running.some(({ subject }) => subject === this.context.model.subject);
     setText(this.now, this.running.map((session) => this.words(session)).join(" ") || "Nobody trains now.");
   }
 

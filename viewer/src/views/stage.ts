@@ -10,7 +10,7 @@ import { transmitter } from "../scene/transmitter";
 import { LOOKS, Sensors } from "../scene/sensors";
 import type { Axis } from "../scene/slice";
 import { Truth } from "../scene/truth";
-import type { FigureMessage, Pose, SensorState } from "../protocol";
+import type { FigureMessage, Hello, Pose, SensorState } from "../protocol";
 import type { Context, View } from "../view";
 
 /** Where the legend would hide half of the room. */
@@ -24,7 +24,9 @@ export class StageView implements View {
   private readonly bodySummary = el("p", { id: "body-summary" });
   private scene: Scene | null = null;
   private readonly sensors = new Sensors();
-  private readonly body = new BodyFigure();
+  /** Everybody, by name. */
+  private readonly figures = new Map<string, BodyFigure>();
+  private readonly everybody = new Group();
   private readonly truth = new Truth();
   private readonly screws = new Screws();
   private readonly transmitter: Group = transmitter();
@@ -46,10 +48,11 @@ export class StageView implements View {
     }
     this.transmitter.add(this.field.group);
     // So that the switch hides what a message would show.
-    const figure = new Group().add(this.body.group);
+    const figure = new Group().add(this.everybody);
     this.scene.scene.add(this.transmitter, this.sensors.group, figure, this.truth.group, this.screws.group);
     context.model.listen((message) => {
       if (message.type === "hello") {
+        this.introduce(message);
         this.placeTransmitter(message.transmitter);
         this.field.forget();
         this.screws.forget();
@@ -98,14 +101,36 @@ export class StageView implements View {
     );
   }
 
-  private drawBody(body: FigureMessage): void {
-    this.body.update(body, this.context.model.hello?.height_m ?? null);
+  /** A figure for each of the stage's bodies. */
+  private introduce({ bodies }: Hello): void {
+    this.everybody.clear();
+    this.figures.clear();
+    for (const { name, color } of bodies) {
+      const figure = new BodyFigure();
+      figure.paint(color);
+      this.figures.set(name, figure);
+      this.everybody.add(figure.group);
+    }
+  }
+
+  private drawBodies(bodies: ReadonlyMap<string, FigureMessage>): void {
+    const { hello } = this.context.model;
+    const said = (hello?.bodies ?? []).flatMap(({ name, height_m }) => {
+      const body = bodies.get(name);
+      if (body === undefined) return [];
+      this.figures.get(name)?.update(body, height_m);
+      return [`${hello!.bodies.length > 1 ? name : "body"}: ${this.words(body)}`];
+    });
+    setText(this.bodySummary, said.join("; "));
+  }
+
+  private words(body: FigureMessage): string {
     const good = body.segments.filter(({ state }) => state === "ok").length;
     // Head, hands and feet that wear nothing are not counted.
     const worn = body.segments.filter(({ sensor, state }) => sensor !== null || state === "missing").length;
     const heading = body.heading === "held" ? `, heading held for ${body.heading_held_s.toFixed(0)} s (± ${(2 * (body.heading_sigma_deg ?? 180)).toFixed(0)}°)` : "";
     const place = { trackers: "", feet: `, place by its feet (± ${(200 * (body.position_sigma_m ?? 0)).toFixed(0)} cm)`, held: ", place as last seen", origin: ", place not known" }[body.position_source];
-    setText(this.bodySummary, `body: ${good} of ${worn} segments measured${heading}${place}`);
+    return `${good} of ${worn} segments measured${heading}${place}`;
   }
 
   /** The slice where the operator wants it. */
@@ -147,7 +172,7 @@ export class StageView implements View {
         + (fault && fault.label !== "clean" ? `; the frame is ${fault.label}` : ""));
       setText(this.arrowsLabel, this.field.hasMap ? `arrows ${this.field.magnified.toFixed(0)} times as long` : "");
     }
-    if (changed && model.body) this.drawBody(model.body);
+    if (changed && model.bodies.size > 0) this.drawBodies(model.bodies);
     if (changed && model.truth) this.truth.update(model.truth);
     this.scene?.render(changed);
   }

@@ -56,7 +56,7 @@ export class TrainerView implements View {
       el("label", {}, "Name ", this.name), el("label", {}, "Repetitions ", this.repetitions),
       this.teach, this.cancel);
     teach.addEventListener("submit", acting(this.says, () => link.request({
-      type: "exercise.teach", name: this.name.value.trim(), repetitions: Number(this.repetitions.value),
+      type: "exercise.teach", name: this.name.value.trim(), repetitions: Number(this.repetitions.value), ...model.about,
     })));
     this.cancel.addEventListener("click", acting(this.says, async () => {
       const job = this.job();
@@ -66,7 +66,7 @@ export class TrainerView implements View {
       el("label", {}, "Repetitions of a set ", this.target), el("label", {}, "Sets ", this.sets),
       el("label", {}, "Rest, s ", this.rest), el("button", { id: "select", class: "primary" }, "Count these")));
     select.addEventListener("submit", acting(this.says, () => this.select()));
-    this.reset.addEventListener("click", acting(this.says, () => link.request({ type: "exercise.reset" })));
+    this.reset.addEventListener("click", acting(this.says, () => link.request({ type: "exercise.reset", subject: model.subject })));
     this.language.value = ownLanguage();
     const words = el("div", { class: "row" }, el("label", {}, "Feedback in ", this.language),
       el("label", {}, this.aloud, " say it aloud"), this.reset);
@@ -74,7 +74,7 @@ export class TrainerView implements View {
       el("h2", {}, "Teach an exercise"), teach, this.lesson,
       el("h2", {}, "What is counted"), select);
     model.listen((message) => {
-      if (message.type === "exercise") this.take(message);
+      if (message.type === "exercise" && (message.subject ?? model.subject) === model.subject) this.take(message);
       else if (message.type === "jobs" || message.type === "status") this.changed = true;
       else if (message.type === "hello") void this.refresh();
     });
@@ -198,7 +198,7 @@ export class TrainerView implements View {
     const exercises = this.boxes().filter((box) => box.checked).map((box) => box.value);
     const number = (input: HTMLInputElement) => (input.value === "" ? null : Number(input.value));
     return this.context.link.request({
-      type: "exercise.select", exercises,
+      type: "exercise.select", exercises, ...this.context.model.about,
       repetitions: number(this.target), sets: number(this.sets), rest_s: number(this.rest),
     });
   }

@@ -18,29 +18,55 @@ use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton};
 use posed_fusion::body::{Guide, Places, Thoroughness, Trackers};
 use posed_geometry::orientation_to_wxyz;
 use posed_pipeline::all_have_field;
-use posed_stage::Stage;
 use posed_stage::input::{Model, MountedSensor, SensorIndex};
 use posed_stage::layout::{ChainLayout, Wearers, offset_on, segment_of, skeleton_of};
+use posed_stage::{BodyIndex, Stage};
 
 impl Calls {
     /// Begins a calibration.
-    pub(super) fn calibrate_body(&self, how: Thoroughness, reply: Reply) {
-        if let Some(layout) = ChainLayout::of(&self.stage) {
-            return self.calibrate_chain(layout, reply);
+    pub(super) fn calibrate_body(&self, body: Option<&str>, how: Thoroughness, reply: Reply) {
+        let index = match self.body(body) {
+            Ok(index) => index,
+            Err(refusal) => return reply.refuse(refusal),
+        };
+        if let Some(layout) = ChainLayout::of(&self.stage, index) {
+            return self.calibrate_chain(self.one_of_several(index), layout, reply);
         }
-        match self.wearer(how) {
+        match self.wearer(index, how) {
             Ok(session) => self.jobs.run("body.calibrate", reply, move |job| session.run(job)),
             Err(refusal) => reply.refuse(refusal),
         }
     }
 
+    /// The body of that name, or the only one.
+    pub(super) fn body(&self, name: Option<&str>) -> Result<BodyIndex, Refusal> {
+        let names = || self.stage.bodies.iter().map(|body| &*body.name);
+        let at = match (name, self.stage.bodies.len()) {
+            (Some(name), _) => names().position(|known| known == name),
+            (None, 0 | 1) => Some(0),
+            (None, _) => None,
+        };
+        let which = || format!("body: name one of {}", names().collect::<Vec<_>>().join(", "));
+        at.map(|at| at as BodyIndex).ok_or_else(|| match self.stage.bodies.is_empty() {
+            true => Refusal::new("no_body", "this stage has no [[body]]"),
+            false => Refusal::bad_request(which()),
+        })
+    }
+
+    /// A body's name where models must name it.
+    fn one_of_several(&self, body: BodyIndex) -> Option<String> {
+        let bodies = &self.stage.bodies;
+        (bodies.len() > 1).then(|| bodies[usize::from(body)].name.clone())
+    }
+
     /// Who wears IMUs; a sentence where there is nobody to calibrate.
-    fn wearer(&self, how: Thoroughness) -> Result<Session, Refusal> {
-        let body = self.stage.body.as_ref().filter(|body| body.skeleton == posed_stage::Skeleton::Human);
+    fn wearer(&self, index: BodyIndex, how: Thoroughness) -> Result<Session, Refusal> {
+        let body = self.stage.bodies.get(usize::from(index));
+        let body = body.filter(|body| body.skeleton == posed_stage::Skeleton::Human);
         let no_body = |reason| Refusal::new("no_body", reason);
         let skeleton = body.and_then(skeleton_of);
-        let skeleton = skeleton.ok_or_else(|| no_body("this stage has no human [body] with `height_m`"))?;
-        let wearers = Wearers::of(&self.stage).unwrap_or_default();
+        let skeleton = skeleton.ok_or_else(|| no_body("this stage has no human [[body]] with `height_m`"))?;
+        let wearers = Wearers::of(&self.stage, index).unwrap_or_default();
         if wearers.imus.iter().all(Option::is_none) {
             return Err(no_body("this stage has no IMU on a segment of the body"));
         }
@@ -50,7 +76,8 @@ impl Calls {
             trackers[segment.index()].get_or_insert(tracker);
         }
         let (stage, inbox) = (self.stage.clone(), self.inbox.clone());
-        Ok(Session { stage, skeleton, magnetic, how, trackers, inbox })
+        let name = self.one_of_several(index);
+        Ok(Session { stage, index, name, skeleton, magnetic, how, trackers, inbox })
     }
 }
 
@@ -60,6 +87,9 @@ type BodyImus = [Option<SensorIndex>; SEGMENTS];
 /// A calibration at work.
 struct Session {
     stage: Stage,
+    index: BodyIndex,
+    /// Its name, where there are several.
+    name: Option<String>,
     skeleton: Skeleton,
     magnetic: bool,
     how: Thoroughness,
@@ -70,7 +100,7 @@ struct Session {
 
 impl Session {
     fn run(self, job: &Job) -> Result<String, Failure> {
-        let imus = self.inbox.ask(|to| Command::BodyImus { to })?;
+        let imus = self.inbox.ask(|to| Command::BodyImus { body: self.index, to })?;
         let offsets_m = BodySegment::ALL.map(|segment| {
             let tracker = self.trackers[segment.index()]?;
             let known_m = offset_on(&self.stage.sensors[usize::from(tracker)], segment);
@@ -112,7 +142,7 @@ impl Session {
             .filter_map(|segment| Some((segment, found.quality_deg[segment.index()]?)))
             .max_by(|(_, a), (_, b)| a.total_cmp(b));
         let sensors = self.mounted(&imus, &found);
-        self.inbox.command(Command::load(Model::Mounting { sensors }));
+        self.inbox.command(Command::load(Model::Mounting { body: self.name.clone(), sensors }));
         let worst = worst.map_or_else(String::new, |(segment, quality_deg)| {
             format!("; the worst is {} with {quality_deg:.1} degrees", segment.name())
         });

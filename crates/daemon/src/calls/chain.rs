@@ -18,14 +18,17 @@ use posed_stage::layout::ChainLayout;
 
 impl Calls {
     /// Begins a calibration of the chain.
-    pub(super) fn calibrate_chain(&self, layout: ChainLayout, reply: Reply) {
-        let session = Session { segments: layout.segments, imus: layout.imus, inbox: self.inbox.clone() };
+    pub(super) fn calibrate_chain(&self, body: Option<String>, layout: ChainLayout, reply: Reply) {
+        let ChainLayout { segments, imus } = layout;
+        let session = Session { body, segments, imus, inbox: self.inbox.clone() };
         self.jobs.run("body.calibrate", reply, move |job| session.run(job));
     }
 }
 
 /// A calibration at work.
 struct Session {
+    /// Its name, where there are several.
+    body: Option<String>,
     segments: Vec<ChainSegment>,
     imus: Vec<SensorIndex>,
     inbox: FusionInbox,
@@ -53,7 +56,7 @@ impl Session {
             ).into());
         }
         let calibration = Box::new(calibration);
-        self.inbox.command(Command::load(Model::Chain { calibration }));
+        self.inbox.command(Command::load(Model::Chain { body: self.body, calibration }));
         let worst = worst.map_or_else(String::new, |(joint, quality_deg)| {
             format!("; the worst is {joint} with {quality_deg:.1} degrees")
         });

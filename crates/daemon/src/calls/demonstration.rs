@@ -21,7 +21,7 @@ impl Calls {
     pub(super) fn demonstration(&self, name: &str) -> Result<Demonstration, Refusal> {
         let kept = self.exercises.newest(name).map_err(Refusal::failed)?;
         let exercise = kept.ok_or_else(|| Refusal::bad_request(format!("there is no exercise {name:?}")))?;
-        let skeleton = self.stage.body.as_ref().and_then(skeleton_of);
+        let skeleton = self.stage.bodies.first().and_then(skeleton_of);
         let skeleton = skeleton.unwrap_or_else(|| Skeleton::from_height(USUAL_HEIGHT_M));
         demonstration(&exercise, &skeleton).ok_or_else(|| {
             let why = "it was not taught from joint angles, so that no figure can show it";

@@ -17,7 +17,7 @@ use super::Calls;
 use posed_motion::exercise::{Exercise, Options, Refusal, Report, Stream, columns_of, rests, teach};
 use posed_pipeline::DEFAULT_SUBJECT;
 use posed_stage::input::{Model, Plan, Request};
-use posed_stage::signals;
+use posed_stage::{BodyIndex, signals};
 
 /// Longest time that repetitions may take, s.
 const LONGEST_S: f64 = 120.0;
@@ -35,6 +35,20 @@ pub(super) struct Lesson {
     pub(super) sensors: Option<Vec<String>>,
     pub(super) channels: Option<Vec<String>>,
     pub(super) subject: Option<String>,
+    pub(super) body: Option<String>,
+}
+
+/// Who moves, and which body that is.
+pub(super) struct Who {
+    pub(super) subject: Option<String>,
+    pub(super) body: Option<String>,
+}
+
+impl Who {
+    /// The subject: who is not named is called as the body.
+    fn subject(&self) -> String {
+        self.subject.as_ref().or(self.body.as_ref()).map_or_else(|| DEFAULT_SUBJECT.to_owned(), String::clone)
+    }
 }
 
 impl Calls {
@@ -43,7 +57,7 @@ impl Calls {
         &self,
         exercises: Vec<String>,
         plan: Plan,
-        subject: Option<String>,
+        who: Who,
         sensors: BTreeMap<String, String>,
         reply: Reply,
     ) {
@@ -55,8 +69,9 @@ impl Calls {
                 Err(error) => return reply.refuse(server::Refusal::failed(error)),
             }
         }
-        let subject = subject.unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
-        self.request(Request::ExerciseSelect { subject, exercises, plan, sensors }, kept, reply);
+        let request =
+            Request::ExerciseSelect { subject: who.subject(), exercises, plan, sensors, body: who.body };
+        self.request(request, kept, reply);
     }
 
     /// Hands a request to the pipeline; `models` are swapped in before if it lacks them.
@@ -69,25 +84,50 @@ impl Calls {
         if let Err(refusal) = self.check_lesson(&lesson) {
             return reply.refuse(refusal);
         }
+        let body = match self.looked_at(&lesson) {
+            Ok(body) => body,
+            Err(refusal) => return reply.refuse(refusal),
+        };
         let columns = match &lesson.sensors {
             Some(names) => {
                 let names = || names.iter().map(String::as_str);
                 [signals::columns(names()), signals::inertial_columns(names())].concat()
             }
-            None => self.columns_of_wearer(lesson.channels.as_deref()),
+            None => self.columns_of_wearer(body, lesson.channels.as_deref()),
         };
-        let classroom =
-            Classroom { lesson, columns, inbox: self.inbox.clone(), library: self.exercises.clone() };
+        let prefix = signals::prefix_of(&self.stage, body);
+        let (inbox, library) = (self.inbox.clone(), self.exercises.clone());
+        let classroom = Classroom { lesson, columns, prefix, inbox, library };
         let from_s = self.clock.now().as_secs_f64();
         self.jobs.run("exercise.teach", reply, move |job| classroom.run(job, from_s));
     }
 
+    /// The body that a lesson is about: that of this name, else the one that is called as the subject, else the first.
+    fn looked_at(&self, lesson: &Lesson) -> Result<BodyIndex, server::Refusal> {
+        let named = |name: &String| self.stage.bodies.iter().position(|body| body.name == *name);
+        let at = match &lesson.body {
+            Some(name) => named(name).ok_or_else(|| {
+                server::Refusal::bad_request(format!("body: this stage has no body {name:?}"))
+            })?,
+            None => lesson.subject.as_ref().and_then(named).unwrap_or(0),
+        };
+        Ok(at as BodyIndex)
+    }
+
     /// What the named channels come from; without names all that tells of who exercises.
-    fn columns_of_wearer(&self, channels: Option<&[String]>) -> Vec<String> {
-        let Some(channels) = channels else { return signals::columns_of_wearer(&self.stage) };
+    fn columns_of_wearer(&self, body: BodyIndex, channels: Option<&[String]>) -> Vec<String> {
+        let of_wearer = signals::columns_of_wearer(&self.stage, body);
+        let Some(channels) = channels else { return of_wearer };
+        let prefix = signals::prefix_of(&self.stage, body);
         let all = signals::columns_of(&self.stage);
+        // Joints are those of this body: an exercise may be anybody's.
+        let own = |channel: &String| {
+            let joint = format!("{prefix}{channel}");
+            if all.contains(&joint) { joint } else { channel.clone() }
+        };
+        let channels: Vec<String> = channels.iter().map(own).collect();
         // A name that is none is refused when it is taught.
-        columns_of(channels, &all).unwrap_or(all)
+        columns_of(&channels, &all).unwrap_or(all)
     }
 
     fn check_lesson(&self, lesson: &Lesson) -> Result<(), server::Refusal> {
@@ -116,6 +156,8 @@ struct Classroom {
     lesson: Lesson,
     /// What is looked at.
     columns: Vec<String>,
+    /// What stands in front of the names of this body's joints on the stage, and in no exercise.
+    prefix: String,
     inbox: FusionInbox,
     library: Library,
 }
@@ -206,7 +248,13 @@ impl Classroom {
     /// What was tracked after a time.
     fn excerpt(&self, from_s: f64) -> Result<Excerpt, Ended> {
         let columns = self.columns.clone();
-        self.inbox.ask(|to| Command::Recent { from_s, columns, to })
+        let mut excerpt = self.inbox.ask(|to| Command::Recent { from_s, columns, to })?;
+        for column in &mut excerpt.columns {
+            if let Some(own) = column.strip_prefix(&self.prefix) {
+                *column = own.to_owned();
+            }
+        }
+        Ok(excerpt)
     }
 
     /// Teaches from a stream that holds the announced repetitions and so many more.
@@ -240,11 +288,13 @@ impl Classroom {
             100.0 * report.quality,
             channels_in_words(&exercise.channels)
         );
-        let subject = self.lesson.subject.clone().unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
+        let Lesson { subject, body, .. } = self.lesson.clone();
+        let who = Who { subject, body };
         let exercises = vec![exercise.name.clone()];
         self.inbox.command(Command::load(Model::Exercise { exercise: Box::new(exercise) }));
         let (plan, sensors) = (Plan::default(), BTreeMap::new());
-        let request = Request::ExerciseSelect { subject, exercises, plan, sensors };
+        let request =
+            Request::ExerciseSelect { subject: who.subject(), exercises, plan, sensors, body: who.body };
         self.inbox.command(Command::Request { request, models: Vec::new(), reply: None });
         let remarks = report.remarks.iter().map(|remark| format!("; {remark}"));
         Ok(std::iter::once(sentence).chain(remarks).collect())

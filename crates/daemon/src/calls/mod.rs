@@ -173,13 +173,14 @@ impl Calls {
             Call::ExerciseDemonstration { exercise } => {
                 reply.answer(self.demonstration(&exercise).map(|shown| Some(Answer::Demonstration(shown))));
             }
-            Call::ExerciseTeach { name, repetitions, last_s, sensors, channels, subject } => {
-                let lesson = exercise::Lesson { name, repetitions, last_s, sensors, channels, subject };
+            Call::ExerciseTeach { name, repetitions, last_s, sensors, channels, subject, body } => {
+                let lesson = exercise::Lesson { name, repetitions, last_s, sensors, channels, subject, body };
                 self.teach(lesson, reply);
             }
-            Call::ExerciseSelect { exercises, repetitions, sets, rest_s, subject, sensors } => {
+            Call::ExerciseSelect { exercises, repetitions, sets, rest_s, subject, body, sensors } => {
                 let plan = Plan { repetitions, sets, rest_s: rest_s.unwrap_or(0.0) };
-                self.select(exercises, plan, subject, sensors.unwrap_or_default(), reply);
+                let who = exercise::Who { subject, body };
+                self.select(exercises, plan, who, sensors.unwrap_or_default(), reply);
             }
             Call::ExerciseReset { subject } => {
                 let subject = subject.unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
@@ -188,10 +189,12 @@ impl Calls {
             Call::FaultsTrain { last_s, recording } => self.train_faults(last_s, recording, reply),
             Call::FaultsNameCell { row, column, class } => self.name_cell(row, column, class, reply),
             Call::SegmentsTrain { epochs, look_ahead } => self.train_segments(epochs, look_ahead, reply),
-            Call::BodyCalibrate { how } => self.calibrate_body(how.unwrap_or_default(), reply),
-            Call::HeadingReset { sensor, heading_deg } => {
+            Call::BodyCalibrate { how, body } => {
+                self.calibrate_body(body.as_deref(), how.unwrap_or_default(), reply);
+            }
+            Call::HeadingReset { body, sensor, heading_deg } => {
                 let heading_rad = heading_deg.unwrap_or(0.0).to_radians();
-                self.request(Request::HeadingReset { sensor, heading_rad }, Vec::new(), reply);
+                self.request(Request::HeadingReset { body, sensor, heading_rad }, Vec::new(), reply);
             }
             Call::StageAlign { sensor, anchors } => self.align_stage(sensor, anchors, reply),
             Call::ImuCalibrate { sensor } => self.calibrate_imu(sensor, reply),
@@ -267,7 +270,10 @@ impl Calls {
         {
             return Err(Refusal::bad_request(format!("device: this stage has no device {device:?}")));
         }
-        if let Model::Mounting { sensors } = model
+        if let Model::Mounting { body, .. } | Model::Chain { body, .. } = model {
+            self.body(body.as_deref())?;
+        }
+        if let Model::Mounting { sensors, .. } = model
             && let Some(unknown) = sensors
                 .iter()
                 .find(|mounted| !self.stage.sensors.iter().any(|known| known.name == mounted.sensor))

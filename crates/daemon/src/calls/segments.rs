@@ -47,8 +47,8 @@ impl Calls {
         let mut options = Options::default();
         options.epochs = epochs.unwrap_or(options.epochs);
         options.ahead = look_ahead.or(options.ahead);
-        let layout = BodyLayout::of(&self.stage);
-        let segments = layout.iter().flat_map(BodyLayout::places).map(str::to_owned);
+        let layouts = BodyLayout::all(&self.stage);
+        let segments = layouts.iter().flatten().flat_map(BodyLayout::places).map(str::to_owned);
         let sensors = self.stage.sensors.iter().map(|sensor| sensor.name.clone());
         let school = School {
             recordings: self.recordings.clone(),

@@ -35,7 +35,9 @@ pub(crate) struct Health {
     /// Work of the network of segments per frame, s; absent without one.
     segments: Option<Latency>,
     /// What is wrong with each segment's sensor.
-    body: Vec<Option<Cause>>,
+    bodies: Vec<Vec<Option<Cause>>>,
+    /// The bodies' names.
+    names: Vec<String>,
     recording_failure: Option<String>,
     /// Entries that tracking has left out, and how often it has begun anew, by the last status.
     recovered: (u64, u64),
@@ -101,7 +103,8 @@ impl Health {
             read_to_estimate: Latency::new("read to estimate"),
             capture_to_estimate: Latency::new("capture to estimate"),
             segments: None,
-            body: Vec::new(),
+            bodies: vec![Vec::new(); stage.bodies.len()],
+            names: stage.bodies.iter().map(|body| body.name.clone()).collect(),
             recording_failure: None,
             recovered: (0, 0),
             behind: None,
@@ -123,10 +126,11 @@ impl Health {
 
     /// News of the body: a sensor that becomes faulty is reported at once.
     fn body(&mut self, body: &Body) {
+        let Some(known) = self.bodies.get_mut(usize::from(body.index)) else { return };
         let faults = body.segments.iter().map(|segment| segment.fault);
-        if !faults.clone().eq(self.body.iter().copied()) {
-            self.body.clear();
-            self.body.extend(faults);
+        if !faults.clone().eq(known.iter().copied()) {
+            known.clear();
+            known.extend(faults);
             self.changed = true;
         }
     }
@@ -247,7 +251,7 @@ impl Health {
                 started_s: recording.started.as_secs_f64(),
             }),
             replay: None,
-            problems: self.problems(clock, pipeline.body.as_ref()),
+            problems: self.problems(clock, &pipeline.bodies),
             // The server knows and fills it in.
             clients: 0,
         }
@@ -262,7 +266,7 @@ impl Health {
         self.behind = (late_ms > KEEPS_UP_MS).then_some((from, late_ms));
     }
 
-    fn problems(&self, clock: &StageClock, body: Option<&BodyStatus>) -> Vec<Problem> {
+    fn problems(&self, clock: &StageClock, bodies: &[Option<BodyStatus>]) -> Vec<Problem> {
         let problem = |code: &str, message: String| Problem { code: code.to_owned(), message };
         let mut problems = Vec::new();
         for device in &self.devices {
@@ -270,15 +274,19 @@ impl Health {
                 device.warnings.iter().map(|text| problem("device", format!("{}: {text}", device.name))),
             );
         }
-        if let Some(body) = body {
+        for (body, name) in bodies.iter().zip(&self.names) {
+            let Some(body) = body else { continue };
+            let of = if self.names.len() > 1 { format!("{name}: ") } else { String::new() };
             if !body.mounted {
-                let sentence = "nobody knows how the body's sensors sit: calibrate the body (page: Runs; request \
-                                `body.calibrate`), or set mounting = \"given\" with `mount_quat_wxyz` for each";
-                problems.push(problem("body", sentence.to_owned()));
+                let sentence = format!(
+                    "{of}nobody knows how the body's sensors sit: calibrate the body (page: Runs; request \
+                     `body.calibrate`), or set mounting = \"given\" with `mount_quat_wxyz` for each"
+                );
+                problems.push(problem("body", sentence));
             }
             problems.extend(body.faults.iter().map(|(sensor, segment, fault)| {
                 let name = self.sensors.get(usize::from(*sensor)).map_or("", |sensor| sensor.name.as_str());
-                problem("body", format!("{segment}: the sensor {name} {}", emitted(*fault)))
+                problem("body", format!("{of}{segment}: the sensor {name} {}", emitted(*fault)))
             }));
         }
         let lasts = |from: &Timestamp| self.last_status.seconds_since(*from) > BEHIND_S;
@@ -385,7 +393,7 @@ mod tests {
         let health = Health::new(&Stage::parse("name = \"A\"\n").unwrap());
         let clock = StageClock::with_utc(|| UTC_NS.load(Ordering::Relaxed));
         UTC_NS.fetch_add(7_200_000_000_000, Ordering::Relaxed);
-        let problems = health.problems(&clock, None);
+        let problems = health.problems(&clock, &[]);
         assert_eq!((problems.len(), problems[0].code.as_str()), (1, "wall_clock"));
         assert!(problems[0].message.contains("restart posed"), "{}", problems[0].message);
     }

@@ -6,9 +6,9 @@
 use std::collections::VecDeque;
 
 use super::{Observer, Times};
-use posed_stage::Stage;
 use posed_stage::output::{Body, Estimate, Output};
 use posed_stage::signals::{self, BodyColumns, InertialColumns};
+use posed_stage::{BodyIndex, Stage};
 
 /// How far it reaches back at most, s.
 const LONGEST_S: f64 = 120.0;
@@ -21,8 +21,8 @@ pub(crate) struct Recent {
     columns: Vec<String>,
     inertial: InertialColumns,
     angles: BodyColumns,
-    /// The newest body, without its segments.
-    body: Option<Body>,
+    /// The newest of each body, without its segments.
+    bodies: Vec<Option<Body>>,
     row: Vec<Option<f64>>,
     t_s: VecDeque<f64>,
     /// Row by row; NaN where there is no value.
@@ -49,7 +49,7 @@ impl Recent {
             columns,
             inertial,
             angles,
-            body: None,
+            bodies: vec![None; stage.bodies.len()],
             row: Vec::new(),
             t_s: VecDeque::new(),
             values: VecDeque::new(),
@@ -59,7 +59,9 @@ impl Recent {
     /// The body, which comes before the estimate of its frame.
     fn body(&mut self, body: &Body) {
         // All but the segments, which would have to be allocated.
-        self.body = Some(Body {
+        let Some(newest) = self.bodies.get_mut(usize::from(body.index)) else { return };
+        *newest = Some(Body {
+            index: body.index,
             t_valid: body.t_valid,
             heading: body.heading,
             heading_sigma_rad: body.heading_sigma_rad,
@@ -79,7 +81,8 @@ impl Recent {
         }
         signals::write(estimate, &mut self.row);
         self.inertial.append(estimate, &mut self.row);
-        self.angles.append(self.body.as_ref(), estimate, &mut self.row);
+        let latest = |body: BodyIndex| self.bodies.get(usize::from(body))?.as_ref();
+        self.angles.append(latest, estimate, &mut self.row);
         let now = estimate.t_valid.as_secs_f64();
         while self.t_s.front().is_some_and(|oldest| *oldest < now - LONGEST_S)
             || (self.t_s.len() + 1) * width * size_of::<f64>() > MOST_BYTES

@@ -11,7 +11,7 @@ use super::BindError;
 use super::hub::Item;
 use super::metrics::Metrics;
 use posed_protocol::{mvn, vmc};
-use posed_stage::Stage;
+use posed_stage::{BodyIndex, Stage};
 
 /// What makes datagrams of what is published.
 enum Publisher {
@@ -31,17 +31,26 @@ pub(super) struct Outlet {
 impl Outlet {
     /// All that the stage file asks for: targets resolved, sockets opened. On failure: which target, and why.
     pub(super) fn open(stage: &Stage, metrics: &Metrics) -> Result<Vec<Self>, BindError> {
-        let vmc = stage.vmc.as_ref().map(|settings| {
-            let targets = targets("vmc", &settings.targets, vmc::DEFAULT_TARGET)?;
-            let publisher = Publisher::Vmc(vmc::Publisher::new(stage, settings));
-            Ok(Self { publisher, targets, sent: metrics.vmc_sent.clone(), lost: metrics.vmc_lost.clone() })
+        // Sensors that nobody wears are sent, too.
+        let bodies = 0..stage.bodies.len().max(1) as BodyIndex;
+        let vmc = stage.vmc.iter().flat_map(|settings| {
+            bodies.clone().map(move |body| {
+                // A program that listens by VMC shows one avatar: that of each body has a port of its own.
+                let targets = targets("vmc", &settings.targets, vmc::DEFAULT_TARGET, body.into())?;
+                let publisher = Publisher::Vmc(vmc::Publisher::new(stage, body, settings));
+                let (sent, lost) = (metrics.vmc_sent.clone(), metrics.vmc_lost.clone());
+                Ok(Self { publisher, targets, sent, lost })
+            })
         });
-        let mvn = stage.mvn.as_ref().map(|settings| {
-            let targets = targets("mvn", &settings.targets, mvn::DEFAULT_TARGET)?;
-            let publisher = Publisher::Mvn(mvn::Publisher::new(stage, settings));
-            Ok(Self { publisher, targets, sent: metrics.mvn_sent.clone(), lost: metrics.mvn_lost.clone() })
+        let mvn = stage.mvn.iter().flat_map(|settings| {
+            bodies.clone().map(move |body| {
+                let targets = targets("mvn", &settings.targets, mvn::DEFAULT_TARGET, 0)?;
+                let publisher = Publisher::Mvn(mvn::Publisher::new(stage, body, settings));
+                let (sent, lost) = (metrics.mvn_sent.clone(), metrics.mvn_lost.clone());
+                Ok(Self { publisher, targets, sent, lost })
+            })
         });
-        vmc.into_iter().chain(mvn).collect()
+        vmc.chain(mvn).collect()
     }
 
     /// Sends an item, if it is something to them.
@@ -68,18 +77,23 @@ impl Outlet {
     }
 }
 
-/// Where a table's datagrams go.
+/// Where a table's datagrams go, on ports that are so much higher than in the stage file.
 fn targets(
     table: &'static str,
     names: &Option<Vec<String>>,
     usual: &'static str,
+    higher: u16,
 ) -> Result<Vec<(SocketAddr, Arc<UdpSocket>)>, BindError> {
     let alone = [usual.to_owned()];
     let mut targets: Vec<(SocketAddr, Arc<UdpSocket>)> = Vec::new();
     for name in names.as_deref().unwrap_or(&alone) {
         let failed = |error| BindError::Target { table, target: name.clone(), usual, error };
         let resolved = name.to_socket_addrs().map_err(failed)?.next();
-        let address = resolved.ok_or_else(|| failed(std::io::Error::other("the name has no address")))?;
+        let mut address = resolved.ok_or_else(|| failed(std::io::Error::other("the name has no address")))?;
+        let port = address.port().checked_add(higher);
+        address.set_port(
+            port.ok_or_else(|| failed(std::io::Error::other("there are not enough ports above it")))?,
+        );
         let same = targets.iter().find(|(other, _)| other.is_ipv4() == address.is_ipv4());
         let socket = match same {
             Some((_, socket)) => Arc::clone(socket),

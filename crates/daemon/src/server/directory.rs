@@ -242,6 +242,7 @@ impl Member {
             version: env!("CARGO_PKG_VERSION").into(),
             stage: greeting.name.clone(),
             epoch_utc: greeting.epoch_utc.clone(),
+            bodies: Vec::new(),
             skeleton: None,
             height_m: None,
             topics: Vec::new(),

@@ -12,7 +12,7 @@ use super::metrics::Metrics;
 use super::outbox::{Outbox, Outgoing};
 use posed_protocol::{
     Answer, Counters, DropPolicy, Encoding, ErrorReply, Feed, Field, Fields, Names, OkReply, Payload,
-    Problem, Rate, RequestId, Resumed, ServerMessage, Stamp, Topic, View, encode,
+    Problem, Rate, RequestId, Resumed, STREAMS, ServerMessage, Stamp, Topic, View, encode,
 };
 use posed_stage::Limits;
 
@@ -49,7 +49,8 @@ pub(super) struct Distributor {
     counters: Counters,
     clients: Vec<Client>,
     views: Vec<SharedView>,
-    last: [Option<(Stamp, Item)>; Topic::COUNT],
+    /// The newest state of each stream.
+    last: [Option<(Stamp, Item)>; STREAMS],
     events: VecDeque<Event>,
     /// Events that still hold: faults that have not ended, the newest model of each kind, counts.
     current: Holding<Event>,
@@ -66,15 +67,15 @@ struct Client {
     stage: Option<Arc<str>>,
     subscriptions: [Option<Subscription>; Topic::COUNT],
     seq: [u64; Topic::COUNT],
-    /// Time of the newest state sent under the present subscription.
-    sent_us: [Option<i64>; Topic::COUNT],
+    /// Time of the newest state of each stream that was sent under the present subscription.
+    sent_us: [Option<i64>; STREAMS],
+    /// When the next one of each may go out, of subscriptions that have a rate.
+    rates: [Option<Rate>; STREAMS],
 }
 
 #[derive(Clone, Copy)]
 struct Subscription {
     view: usize,
-    /// In microseconds; absent: all go out.
-    rate: Option<Rate>,
     policy: DropPolicy,
     /// Newest event when the subscription began: later ones came by themselves.
     live_after: u64,
@@ -104,7 +105,7 @@ impl Distributor {
             counters,
             clients: Vec::new(),
             views: Vec::new(),
-            last: Default::default(),
+            last: std::array::from_fn(|_| None),
             events: VecDeque::new(),
             current: Holding::default(),
             newest_us: i64::MIN,
@@ -151,7 +152,8 @@ impl Distributor {
         let Self { clients, views, names, scratch, metrics, .. } = self;
         for client in clients {
             let Some(subscription) = &mut client.subscriptions[topic.index()] else { continue };
-            if !topic.is_event() && !subscription.is_due(stamp.t_us) {
+            let rate = &mut client.rates[stamp.stream()];
+            if !topic.is_event() && rate.as_mut().is_some_and(|rate| !rate.is_due(stamp.t_us as f64)) {
                 continue;
             }
             let SharedView { view, body, .. } = &mut views[subscription.view];
@@ -174,7 +176,8 @@ impl Distributor {
                 stage,
                 subscriptions: [None; Topic::COUNT],
                 seq: [0; Topic::COUNT],
-                sent_us: [None; Topic::COUNT],
+                sent_us: [None; STREAMS],
+                rates: [None; STREAMS],
             }),
             Command::Disconnect { client } => {
                 if let Some(at) = self.clients.iter().position(|c| c.id == client) {
@@ -197,15 +200,12 @@ impl Distributor {
         self.counters.rewind();
         self.newest_us = i64::MIN;
         self.current.clear();
-        let states = [Topic::Sensors, Topic::Body, Topic::Truth];
-        for topic in states {
-            self.last[topic.index()] = None;
+        for last in &mut self.last {
+            last.take_if(|(stamp, _)| [Topic::Sensors, Topic::Body, Topic::Truth].contains(&stamp.topic));
         }
         for client in &mut self.clients {
-            client.sent_us = [None; Topic::COUNT];
-            for subscription in client.subscriptions.iter_mut().flatten() {
-                subscription.rate.iter_mut().for_each(Rate::rewind);
-            }
+            client.sent_us = [None; STREAMS];
+            client.rates.iter_mut().flatten().for_each(Rate::rewind);
         }
     }
 
@@ -248,8 +248,8 @@ impl Distributor {
                 }
                 self.reply_ok(at, id, None);
                 for (topic, view) in begun {
-                    let subscription =
-                        Subscription { view, rate, policy: drop.unwrap_or_default(), live_after };
+                    let subscription = Subscription { view, policy: drop.unwrap_or_default(), live_after };
+                    streams_of(topic).for_each(|stream| self.clients[at].rates[stream] = rate);
                     let replaced = self.clients[at].subscriptions[topic.index()].replace(subscription);
                     if let Some(old) = replaced {
                         self.views[old.view].users -= 1;
@@ -317,26 +317,29 @@ impl Distributor {
             if let Some(old) = self.clients[at].subscriptions[topic.index()].take() {
                 self.views[old.view].users -= 1;
             }
-            self.clients[at].sent_us[topic.index()] = None;
+            streams_of(*topic).for_each(|stream| self.clients[at].sent_us[stream] = None);
         }
     }
 
     fn send_last_state(&mut self, at: usize, topic: Topic) {
         let client = &mut self.clients[at];
-        let Some(subscription) = &mut client.subscriptions[topic.index()] else { return };
-        let policy = subscription.policy;
+        let Some(Subscription { view, policy, .. }) = client.subscriptions[topic.index()] else { return };
         if topic.is_event() {
             for event in self.current.iter().filter(|event| event.stamp.topic == topic) {
                 client.send(&event.stamp, event.body(client.outbox.encoding()), policy, &self.metrics);
             }
-        } else if let Some((stamp, item)) = &self.last[topic.index()]
-            && client.sent_us[topic.index()].is_none_or(|sent_us| sent_us < stamp.t_us)
-            && subscription.is_due(stamp.t_us)
-        {
-            let view = &self.views[subscription.view].view;
-            let Some(payload) = item.payload() else { return };
-            let body = written(&payload, stamp, &self.names, view, &mut self.scratch);
-            client.send(stamp, body, policy, &self.metrics);
+            return;
+        }
+        for stream in streams_of(topic) {
+            if let Some((stamp, item)) = &self.last[stream]
+                && client.sent_us[stream].is_none_or(|sent_us| sent_us < stamp.t_us)
+                && client.rates[stream].as_mut().is_none_or(|rate| rate.is_due(stamp.t_us as f64))
+                && let Some(payload) = item.payload()
+            {
+                let view = &self.views[view].view;
+                let body = written(&payload, stamp, &self.names, view, &mut self.scratch);
+                client.send(stamp, body, policy, &self.metrics);
+            }
         }
     }
 
@@ -375,7 +378,7 @@ impl Distributor {
 
     fn remember(&mut self, stamp: Stamp, item: Item) -> Option<Item> {
         let Item::Outcome(outcome) = &item else {
-            return self.last[stamp.topic.index()].replace((stamp, item)).map(|(_, old)| old);
+            return self.last[stamp.stream()].replace((stamp, item)).map(|(_, old)| old);
         };
         let mut body = |encoding| {
             let view = View::all(encoding);
@@ -403,13 +406,14 @@ impl Client {
     fn send(&mut self, stamp: &Stamp, body: Arc<[u8]>, policy: DropPolicy, metrics: &Metrics) {
         let topic = stamp.topic;
         let seq = &mut self.seq[topic.index()];
-        let message = Outgoing::Shared { stage: self.stage.clone(), topic, seq: *seq, body };
+        let (stage, stream) = (self.stage.clone(), stamp.stream());
+        let message = Outgoing::Shared { stage, topic, stream, seq: *seq, body };
         *seq += 1;
         metrics.messages.inc();
         if topic.is_event() {
             self.outbox.push_lossless(message);
         } else {
-            self.sent_us[topic.index()] = Some(stamp.t_us);
+            self.sent_us[stamp.stream()] = Some(stamp.t_us);
             metrics.dropped.inc_by(self.outbox.push_data(message, policy));
         }
     }
@@ -423,11 +427,10 @@ impl Client {
     }
 }
 
-impl Subscription {
-    /// Whether a message of this time may go out.
-    fn is_due(&mut self, t_us: i64) -> bool {
-        self.rate.as_mut().is_none_or(|rate| rate.is_due(t_us as f64))
-    }
+/// The streams of a topic.
+fn streams_of(topic: Topic) -> impl Iterator<Item = usize> {
+    let further = if topic == Topic::Body { Topic::COUNT..STREAMS } else { 0..0 };
+    std::iter::once(topic.index()).chain(further)
 }
 
 impl Event {

@@ -3,6 +3,7 @@
 use posed_field::{Cause, Warning};
 use posed_fusion::faults;
 use posed_motion::exercise::EventKind;
+use posed_stage::BodyIndex;
 use posed_stage::input::{Model, SensorIndex};
 use posed_stage::name::Name;
 use posed_stage::output::{ExerciseOutcome, ExerciseWhat, FieldNews, Outcome, OutcomeKind};
@@ -24,7 +25,8 @@ impl<T> Default for Holding<T> {
 enum Key {
     Fault(SensorIndex, faults::Cause),
     Transmitter,
-    Mounting,
+    /// How the sensors of a body sit, by its name where there are several.
+    Mounting(Option<String>),
     /// How the IMU of a magnetic sensor sits, by the sensor's name.
     AttachedImu(String),
     /// By unit.
@@ -40,7 +42,8 @@ enum Key {
     Subject(Name),
     /// The newest count since then.
     Count(Name, Name),
-    MotionSegment,
+    /// Of a body.
+    MotionSegment(Option<BodyIndex>),
 }
 
 impl<T> Holding<T> {
@@ -51,10 +54,10 @@ impl<T> Holding<T> {
         let state = match &outcome.what {
             OutcomeKind::Fault { sensor, cause, active } => Some((Key::Fault(*sensor, *cause), *active)),
             // The newest word on what is being done.
-            OutcomeKind::MotionSegment(_) => Some((Key::MotionSegment, true)),
+            OutcomeKind::MotionSegment(segment) => Some((Key::MotionSegment(segment.body), true)),
             OutcomeKind::ModelSwapped(Model::Transmitter { .. }) => Some((Key::Transmitter, true)),
-            OutcomeKind::ModelSwapped(Model::Mounting { .. } | Model::Chain { .. }) => {
-                Some((Key::Mounting, true))
+            OutcomeKind::ModelSwapped(Model::Mounting { body, .. } | Model::Chain { body, .. }) => {
+                Some((Key::Mounting(body.clone()), true))
             }
             OutcomeKind::ModelSwapped(Model::AttachedImu { sensor, .. }) => {
                 Some((Key::AttachedImu(sensor.clone()), true))

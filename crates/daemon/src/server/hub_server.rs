@@ -348,7 +348,7 @@ mod tests {
         let (items, mut fed) = mpsc::channel(WAITING);
         let end = StageEndpoint { items, shutdown: watch::channel(false).0 };
         let bring = |t_us| {
-            let stamp = Stamp { topic: Topic::Status, t_us, event_id: None };
+            let stamp = Stamp { topic: Topic::Status, body: 0, t_us, event_id: None };
             end.publish(Item::Status(Box::default()), stamp)
         };
         for t_us in 0..WAITING as i64 {

@@ -54,10 +54,10 @@ use super::fault_points;
 use super::link::Feed;
 use super::vital::Vital;
 use posed_protocol::vrpn::{Catalogue, Publisher};
-use posed_protocol::{Counters, HelloSensor, Names, Problem, Status, Topic};
+use posed_protocol::{Counters, HelloBody, HelloSensor, Names, Problem, Status, Topic};
 use posed_stage::input::SensorIndex;
-use posed_stage::layout::BodyLayout;
-use posed_stage::{Pose, Skeleton, Stage};
+use posed_stage::layout::{BodyLayout, color_of};
+use posed_stage::{Body, BodyIndex, Pose, Stage};
 
 #[doc(hidden)]
 pub use self::directory::fuzz_hub_message;
@@ -214,10 +214,14 @@ enum Command {
 struct Greeting {
     stage: String,
     epoch_utc: String,
-    skeleton: Option<Skeleton>,
-    height_m: Option<f64>,
+    bodies: Vec<HelloBody>,
     transmitter: Pose,
     topics: Vec<Topic>,
+}
+
+fn hello_body(stage: &Stage, index: BodyIndex, body: &Body) -> HelloBody {
+    let Body { name, skeleton, height_m, .. } = body;
+    HelloBody { name: name.clone(), color: color_of(stage, index), skeleton: *skeleton, height_m: *height_m }
 }
 
 impl Shared {
@@ -348,7 +352,7 @@ fn topics_of(stage: &Stage, more: &[Topic]) -> Vec<Topic> {
     // Whatever is tracked can be taught and counted, and learnt to be named.
     topics.extend((!stage.sensors.is_empty()).then_some(Topic::Exercise));
     topics.extend((!stage.sensors.is_empty()).then_some(Topic::Segments));
-    topics.extend(BodyLayout::of(stage).is_some().then_some(Topic::Body));
+    topics.extend(BodyLayout::all(stage).iter().any(Option::is_some).then_some(Topic::Body));
     topics.extend(stage.keyframes.is_some().then_some(Topic::Keyframes));
     topics.extend_from_slice(more);
     topics.extend(stage.simulation.is_some().then_some(Topic::Truth));
@@ -392,8 +396,10 @@ impl StageServices {
             greeting: Greeting {
                 stage: stage.name.clone(),
                 epoch_utc,
-                skeleton: stage.body.as_ref().map(|body| body.skeleton),
-                height_m: stage.body.as_ref().and_then(|body| body.height_m),
+                bodies: (0..)
+                    .zip(&stage.bodies)
+                    .map(|(index, body)| hello_body(stage, index, body))
+                    .collect(),
                 transmitter: stage.transmitter.pose_in_room.unwrap_or(Pose::IDENTITY),
                 topics,
             },

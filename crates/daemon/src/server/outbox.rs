@@ -43,7 +43,7 @@ pub(super) enum Outgoing {
     /// A reply or greeting, complete.
     Whole(Vec<u8>),
     /// A data message: the stage's name for who sees several, the client's numbers, and the shared body.
-    Shared { stage: Option<Arc<str>>, topic: Topic, seq: u64, body: Arc<[u8]> },
+    Shared { stage: Option<Arc<str>>, topic: Topic, stream: usize, seq: u64, body: Arc<[u8]> },
     /// The same for a Foxglove viewer: its number of the subscription, UTC in ns, the shared payload.
     Viewed { subscription: u32, utc_ns: u64, payload: Arc<[u8]> },
     /// What the clock of a Foxglove viewer is to show: UTC in ns.
@@ -136,7 +136,7 @@ impl Outbox {
         let mut queues = self.lock();
         let before = queues.dropped;
         match policy {
-            // Topics share the queue, so the limit of "latest" counts this topic's only.
+            // Streams share the queue, so the limit of "latest" counts this one's only.
             DropPolicy::Latest => {
                 let waiting =
                     || queues.data.iter().enumerate().filter(|(_, item)| item.stream() == message.stream());
@@ -190,7 +190,7 @@ impl Outbox {
                 out.extend_from_slice(&bytes);
                 form
             }
-            Outgoing::Shared { stage, topic, seq, body } => {
+            Outgoing::Shared { stage, topic, seq, body, .. } => {
                 out.reserve(body.len() + 128);
                 let head = encode::Head { stage: stage.as_deref(), topic, seq, dropped };
                 encode::message(self.encoding, head, &body, out);
@@ -223,9 +223,9 @@ impl Outgoing {
     }
 
     /// What it is one of many of.
-    fn stream(&self) -> Option<(Option<&str>, Topic)> {
+    fn stream(&self) -> Option<(Option<&str>, usize)> {
         match self {
-            Self::Shared { stage, topic, .. } => Some((stage.as_deref(), *topic)),
+            Self::Shared { stage, stream, .. } => Some((stage.as_deref(), *stream)),
             Self::Whole(_) | Self::Viewed { .. } | Self::Clock(_) => None,
         }
     }
@@ -261,7 +261,7 @@ mod tests {
 
     fn data(topic: Topic, seq: u64, bytes: usize) -> Outgoing {
         let body = format!("{:<1$}", r#"{"x":0}"#, bytes).into_bytes();
-        Outgoing::Shared { stage: None, topic, seq, body: body.into() }
+        Outgoing::Shared { stage: None, topic, stream: topic.index(), seq, body: body.into() }
     }
 
     fn taken(outbox: &Outbox) -> Vec<String> {

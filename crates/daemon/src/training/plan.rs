@@ -59,6 +59,8 @@ impl PlanRun {
                 rest_s: step.rest_s,
             },
             sensors: Default::default(),
+            // A subject that is called as a body is that one.
+            body: None,
         };
         let models = self.models[self.step].clone().into_iter().collect();
         Command::Request { request, models, reply: None }

@@ -95,7 +95,7 @@ impl Stand {
             rest_until_s: None,
             done,
         }];
-        let state = ExerciseState { exercises, repetitions: Some(2), sets: Some(1), rest_s: 0.0 };
+        let state = ExerciseState { body: None, exercises, repetitions: Some(2), sets: Some(1), rest_s: 0.0 };
         self.say(0.0, ExerciseWhat::State(state));
     }
 

@@ -414,7 +414,7 @@ impl Work {
             last_event_id: 0,
             newest_event_id: joined.last_event_id,
             relation: Relation::default(),
-            status: (Status::default(), Stamp { topic: Topic::Status, t_us: 0, event_id: None }),
+            status: (Status::default(), Stamp { topic: Topic::Status, body: 0, t_us: 0, event_id: None }),
             frames: 0,
         };
         Ok((following, until))

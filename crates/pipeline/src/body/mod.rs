@@ -24,7 +24,7 @@ use posed_geometry::{isometry, orientation_from_wxyz, orientation_to_wxyz};
 use posed_stage::input::{MountedSensor, SensorIndex};
 use posed_stage::layout::{Wearers, skeleton_of};
 use posed_stage::output::{Body, Estimate, PoseEstimate, PositionSource, SegmentEstimate, SegmentState};
-use posed_stage::{Mounting, Stage};
+use posed_stage::{BodyIndex, Mounting, Stage};
 
 /// Expected error of the hips' place by trackers, along an axis, m: what lies between is posture.
 const TRACKED_M: f64 = 0.02;
@@ -76,13 +76,13 @@ enum Solver {
 }
 
 impl BodyStage {
-    /// `None` where nobody wears the stage's sensors.
-    pub(super) fn new(stage: &Stage) -> Result<Option<Self>, PipelineError> {
-        let Some(body) = &stage.body else { return Ok(None) };
+    /// `None` where this body is no human one, or wears no sensor.
+    pub(super) fn new(stage: &Stage, index: BodyIndex) -> Result<Option<Self>, PipelineError> {
+        let body = &stage.bodies[usize::from(index)];
         if body.skeleton != posed_stage::Skeleton::Human {
             return Ok(None);
         }
-        let wearers = Wearers::of(stage).map_err(|sensors| PipelineError::SameSegment { sensors })?;
+        let wearers = Wearers::of(stage, index).map_err(|sensors| PipelineError::SameSegment { sensors })?;
         if wearers == Wearers::default() {
             return Ok(None);
         }
@@ -125,6 +125,7 @@ impl BodyStage {
             solver,
             pelvis_m: None,
             out: Body {
+                index,
                 t_valid: Default::default(),
                 heading: Heading::Unknown,
                 heading_sigma_rad: None,

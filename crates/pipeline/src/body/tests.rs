@@ -46,7 +46,7 @@ impl Rig {
             );
         }
         let stage = Stage::parse(&text).unwrap_or_else(|problems| panic!("{problems}"));
-        let stage = BodyStage::new(&stage).unwrap().unwrap();
+        let stage = BodyStage::new(&stage, 0).unwrap().unwrap();
         let mut rig = Self { wearer, stage, estimate: Estimate::default(), number: 0 };
         for _ in 0..800 {
             rig.step(|_| {});

@@ -2,7 +2,9 @@
 //!
 //! What comes in: estimates, exercises, and what clients ask. What goes out: outcomes of the subjects' repetitions. What
 //! it never does: cost anything while nobody counts. An exercise that is loaded is counted for the subject
-//! [`DEFAULT_SUBJECT`] until that subject selects its own.
+//! [`DEFAULT_SUBJECT`], or where there are several bodies for a subject of the name of each, until that subject selects its own.
+//!
+//! An exercise knows nothing of who does it: its channels are joints of any body. Whose they are is said where it is selected.
 
 mod subject;
 
@@ -13,11 +15,12 @@ use posed_state::State;
 use self::subject::Subject;
 use super::input_error::InputError;
 use posed_motion::exercise::{Counter, CountingCost, Exercise};
-use posed_stage::Stage;
 use posed_stage::input::{Plan, Request};
+use posed_stage::layout::BodyLayout;
 use posed_stage::name::Name;
 use posed_stage::output::{Body, Estimate, Outcome};
 use posed_stage::signals::{self, BodyColumns, InertialColumns};
+use posed_stage::{BodyIndex, Stage};
 
 /// Name of the subject that moves unless a client specifies otherwise: loaded exercises are counted for it until it selects its
 /// own.
@@ -46,7 +49,10 @@ pub(super) struct ExerciseStage {
     #[state(keep)]
     inertial: InertialColumns,
     #[state(keep)]
-    body: BodyColumns,
+    angles: BodyColumns,
+    /// The bodies of the stage, in their order.
+    #[state(keep)]
+    bodies: Vec<Counted>,
     row: Vec<Option<f64>>,
     /// The newest of each name.
     #[state(keep)]
@@ -54,13 +60,36 @@ pub(super) struct ExerciseStage {
     subjects: Vec<Subject>,
 }
 
+/// A body whose joints can be counted.
+#[derive(Clone, Debug)]
+struct Counted {
+    name: String,
+    /// What stands in front of the names of its angles.
+    prefix: String,
+    /// Its angles' names, without that.
+    angles: Vec<String>,
+}
+
+impl Counted {
+    fn all(stage: &Stage) -> Vec<Self> {
+        let angles = |layout: Option<BodyLayout>| layout.iter().flat_map(BodyLayout::columns).collect();
+        let of = |((index, body), layout): ((BodyIndex, &posed_stage::Body), _)| Self {
+            name: body.name.clone(),
+            prefix: signals::prefix_of(stage, index),
+            angles: angles(layout),
+        };
+        (0..).zip(&stage.bodies).zip(BodyLayout::all(stage)).map(of).collect()
+    }
+}
+
 impl ExerciseStage {
-    /// For a stage with its sensors and its body.
+    /// For a stage with its sensors and its bodies.
     pub(super) fn new(stage: &Stage) -> Self {
         let columns = signals::columns_of(stage);
         let row = Vec::with_capacity(columns.len());
-        let (inertial, body) = (InertialColumns::of(stage), BodyColumns::of(stage));
-        Self { columns, inertial, body, row, library: Vec::new(), subjects: Vec::new() }
+        let (inertial, angles) = (InertialColumns::of(stage), BodyColumns::of(stage));
+        let bodies = Counted::all(stage);
+        Self { columns, inertial, angles, bodies, row, library: Vec::new(), subjects: Vec::new() }
     }
 
     /// Whether an exercise can be loaded.
@@ -72,8 +101,42 @@ impl ExerciseStage {
         if !known && self.library.len() >= LOADED {
             return Err(InputError::Loaded(LOADED));
         }
-        let one = std::slice::from_ref(exercise);
-        Ok(Counter::check(one, &self.columns).map(drop)?)
+        // Whoever has its channels can be counted in it.
+        let mut on = (0..self.bodies.len().max(1)).map(|body| {
+            let mut one = exercise.clone();
+            self.assign(&mut one, self.bodies.get(body));
+            Counter::check(std::slice::from_ref(&one), &self.columns).map(drop)
+        });
+        let first = on.next().unwrap_or(Ok(()));
+        if first.is_err() && on.any(|checked| checked.is_ok()) {
+            return Ok(());
+        }
+        Ok(first?)
+    }
+
+    /// Lets the joints of an exercise be those of this body.
+    fn assign(&self, exercise: &mut Exercise, body: Option<&Counted>) {
+        let Some(body) = body.filter(|body| !body.prefix.is_empty()) else { return };
+        for channel in channels_of(exercise).filter(|channel| body.angles.contains(channel)) {
+            channel.insert_str(0, &body.prefix);
+        }
+    }
+
+    /// The body that is counted for a subject: that of this name, else the one that is called as the subject, else the first.
+    fn counted(&self, subject: &str, body: Option<&str>) -> Result<Option<&Counted>, InputError> {
+        let named = |name: &str| self.bodies.iter().find(|body| body.name == name);
+        match body {
+            Some(name) => named(name).map(Some).ok_or_else(|| InputError::NoBody(name.to_owned())),
+            None => Ok(named(subject).or(self.bodies.first())),
+        }
+    }
+
+    /// Who is counted for whom nobody has selected anything.
+    fn default_subjects(&self) -> Vec<String> {
+        match &*self.bodies {
+            [] | [_] => vec![DEFAULT_SUBJECT.to_owned()],
+            several => several.iter().map(|body| body.name.clone()).collect(),
+        }
     }
 
     /// Takes an exercise that [`Self::check_load`] accepts; false where it does not.
@@ -88,24 +151,36 @@ impl ExerciseStage {
         true
     }
 
-    /// Counts what is loaded for the default subject, if that one has not selected anything.
+    /// Counts what is loaded for the default subjects, those that have not selected anything.
     pub(super) fn loaded(&mut self, estimate: &Estimate, emit: &mut impl FnMut(&Outcome)) {
-        if self.subjects.iter().any(|subject| subject.name() == DEFAULT_SUBJECT && subject.has_selected()) {
-            return;
+        for subject in self.default_subjects() {
+            if !self.subjects.iter().any(|known| known.name() == subject && known.has_selected()) {
+                self.loaded_for(&subject, estimate, emit);
+            }
         }
+    }
+
+    fn loaded_for(&mut self, subject: &str, estimate: &Estimate, emit: &mut impl FnMut(&Outcome)) {
+        let Ok(body) = self.counted(subject, None).map(|body| body.cloned()) else { return };
+        let has_channels = |exercise: &&Exercise| {
+            let mut one = (*exercise).clone();
+            self.assign(&mut one, body.as_ref());
+            Counter::check(&[one], &self.columns).is_ok()
+        };
         // Exercises of other frame rates have to be selected alone.
-        let rate_hz = self.library.first().map(|exercise| exercise.rate_hz);
-        let fitting = self.library.iter().filter(|exercise| Some(exercise.rate_hz) == rate_hz);
+        let mut own = self.library.iter().filter(has_channels).peekable();
+        let rate_hz = own.peek().map(|exercise| exercise.rate_hz);
+        let fitting = own.filter(|exercise| Some(exercise.rate_hz) == rate_hz);
         let mut names: Vec<String> = fitting.take(SELECTED).map(|exercise| exercise.name.clone()).collect();
         // As many as can be counted at once: what was loaded last gives way.
         let counter = loop {
-            match self.affordable(DEFAULT_SUBJECT, &names, &BTreeMap::new()) {
+            match self.affordable(subject, &names, &BTreeMap::new(), body.as_ref()) {
                 Ok(exercises) => break Counter::new(exercises, &self.columns).ok(),
                 Err(_) if names.pop().is_some() => {}
                 Err(_) => break None,
             }
         };
-        self.select(DEFAULT_SUBJECT, counter, Plan::default(), false, estimate, emit);
+        self.select(subject, counter, Plan::default(), body.as_ref(), false, estimate, emit);
     }
 
     /// Whether a request can be carried out.
@@ -114,7 +189,8 @@ impl ExerciseStage {
     /// What stands against it.
     pub(super) fn check(&self, request: &Request) -> Result<(), InputError> {
         match request {
-            Request::ExerciseSelect { subject, exercises, plan, sensors } => {
+            Request::ExerciseSelect { subject, exercises, plan, sensors, body } => {
+                let body = self.counted(subject, body.as_deref())?;
                 let known = self.subjects.iter().any(|known| known.name() == subject);
                 if subject.is_empty() || subject.len() > NAME_BYTES {
                     return Err(out_of_range("subject", format!("a name of 1 to {NAME_BYTES} bytes")));
@@ -135,7 +211,7 @@ impl ExerciseStage {
                 if exercises.is_empty() {
                     Ok(())
                 } else {
-                    self.affordable(subject, exercises, sensors).map(drop)
+                    self.affordable(subject, exercises, sensors, body).map(drop)
                 }
             }
             Request::ExerciseReset { subject } => {
@@ -159,10 +235,13 @@ impl ExerciseStage {
             return false;
         }
         match request {
-            Request::ExerciseSelect { subject, exercises, plan, sensors } => {
-                let exercises = self.affordable(subject, exercises, sensors).ok();
+            Request::ExerciseSelect { subject, exercises, plan, sensors, body } => {
+                let Ok(body) = self.counted(subject, body.as_deref()).map(|body| body.cloned()) else {
+                    return false;
+                };
+                let exercises = self.affordable(subject, exercises, sensors, body.as_ref()).ok();
                 let counter = exercises.and_then(|exercises| Counter::new(exercises, &self.columns).ok());
-                self.select(subject, counter, *plan, true, estimate, emit);
+                self.select(subject, counter, *plan, body.as_ref(), true, estimate, emit);
             }
             Request::ExerciseReset { subject } => {
                 if let Some(known) = self.subjects.iter_mut().find(|known| known.name() == subject) {
@@ -174,11 +253,11 @@ impl ExerciseStage {
         true
     }
 
-    /// Follows a frame.
-    pub(super) fn frame(
+    /// Follows a frame; `latest` gives the newest of a body.
+    pub(super) fn frame<'a>(
         &mut self,
         estimate: &Estimate,
-        body: Option<&Body>,
+        latest: impl Fn(BodyIndex) -> Option<&'a Body>,
         emit: &mut impl FnMut(&Outcome),
     ) {
         if self.subjects.is_empty() {
@@ -186,7 +265,7 @@ impl ExerciseStage {
         }
         signals::write(estimate, &mut self.row);
         self.inertial.append(estimate, &mut self.row);
-        self.body.append(body, estimate, &mut self.row);
+        self.angles.append(latest, estimate, &mut self.row);
         for subject in &mut self.subjects {
             subject.frame(estimate.t_valid, &self.row, emit);
         }
@@ -198,8 +277,10 @@ impl ExerciseStage {
         subject: &str,
         names: &[String],
         sensors: &BTreeMap<String, String>,
+        body: Option<&Counted>,
     ) -> Result<Vec<Exercise>, InputError> {
-        let exercises = self.exercises(names, sensors)?;
+        let mut exercises = self.exercises(names, sensors)?;
+        exercises.iter_mut().for_each(|exercise| self.assign(exercise, body));
         let cost = Counter::check(&exercises, &self.columns)?;
         let others = self.subjects.iter().filter(|other| other.name() != subject).filter_map(Subject::cost);
         if others.fold(cost, CountingCost::plus).within(&STAGE_COST) {
@@ -232,10 +313,7 @@ impl ExerciseStage {
         if !sensors.is_empty() && !channels.any(taught) {
             return Err(InputError::TaughtWithOthers);
         }
-        let named = exercises.iter_mut().flat_map(|Exercise { channels, still, .. }| {
-            channels.iter_mut().chain(still.iter_mut().map(|still| &mut still.channel))
-        });
-        for channel in named {
+        for channel in exercises.iter_mut().flat_map(channels_of) {
             let renamed =
                 sensors.iter().find_map(|(from, to)| Some(format!("{to}{}", behind(channel, from)?)));
             if let Some(renamed) = renamed {
@@ -250,17 +328,24 @@ impl ExerciseStage {
         subject: &str,
         counter: Option<Counter>,
         plan: Plan,
+        body: Option<&Counted>,
         explicit: bool,
         estimate: &Estimate,
         emit: &mut impl FnMut(&Outcome),
     ) {
-        let new = Subject::new(Name::from(subject), counter, plan, explicit);
+        let (name, prefix) = body.map_or((None, ""), |body| (Some(&*body.name), &*body.prefix));
+        let new = Subject::new(Name::from(subject), name, prefix, counter, plan, explicit);
         new.say_state(estimate.t_valid, emit);
         match self.subjects.iter_mut().find(|known| known.name() == subject) {
             Some(known) => *known = new,
             None => self.subjects.push(new),
         }
     }
+}
+
+/// Names of all that an exercise looks at.
+fn channels_of(Exercise { channels, still, .. }: &mut Exercise) -> impl Iterator<Item = &mut String> {
+    channels.iter_mut().chain(still.iter_mut().map(|still| &mut still.channel))
 }
 
 /// What stands behind the name of a sensor in the name of its channel, `_qw` for example.

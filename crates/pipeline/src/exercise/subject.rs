@@ -18,6 +18,8 @@ const HINT_INTERVAL_S: f64 = 0.25;
 #[derive(Clone, Debug, Plain)]
 pub(super) struct Subject {
     name: Name,
+    /// The body that is counted; `None` on a stage without bodies.
+    body: Option<Name>,
     /// None while nothing is selected.
     counter: Option<Counter>,
     plan: Plan,
@@ -51,12 +53,20 @@ struct Hinted {
 }
 
 impl Subject {
-    pub(super) fn new(name: Name, counter: Option<Counter>, plan: Plan, selected: bool) -> Self {
+    /// `prefix` is what stands in front of the names of this body's angles on the stage, and in no message.
+    pub(super) fn new(
+        name: Name,
+        body: Option<&str>,
+        prefix: &str,
+        counter: Option<Counter>,
+        plan: Plan,
+        selected: bool,
+    ) -> Self {
         let exercises = counter.iter().flat_map(Counter::exercises).map(|exercise| Progress {
             name: Name::from(exercise.name.as_str()),
             channels: (0..exercise.channels.len() + exercise.still.len())
                 .filter_map(|number| exercise.channel(number))
-                .map(Name::from)
+                .map(|channel| Name::from(channel.strip_prefix(prefix).unwrap_or(channel)))
                 .collect(),
             count: 0,
             sets: 0,
@@ -65,7 +75,8 @@ impl Subject {
         });
         let exercises = exercises.collect();
         let hinted = Hinted { what: None, t_s: f64::NEG_INFINITY };
-        Self { name, counter, plan, exercises, selected, hinted }
+        let body = body.map(Name::from);
+        Self { name, body, counter, plan, exercises, selected, hinted }
     }
 
     pub(super) fn name(&self) -> &str {
@@ -94,7 +105,8 @@ impl Subject {
     pub(super) fn say_state(&self, t: Timestamp, emit: &mut impl FnMut(&Outcome)) {
         let Plan { repetitions, sets, rest_s } = self.plan;
         let exercises = self.exercises.iter().map(|progress| progress.state(&self.plan)).collect();
-        let state = ExerciseState { exercises, repetitions, sets, rest_s };
+        let body = self.body.as_ref().map(ToString::to_string);
+        let state = ExerciseState { body, exercises, repetitions, sets, rest_s };
         self.emit(t, t, ExerciseWhat::State(state), emit);
     }
 

@@ -6,7 +6,7 @@
 //!
 //! | channel | schema | holds |
 //! |---|---|---|
-//! | `/tf` | `foxglove.FrameTransforms` | `room` to `transmitter`, to every sensor by name, to `body/SEGMENT` |
+//! | `/tf` | `foxglove.FrameTransforms` | `room` to `transmitter`, to every sensor by name, to `body/SEGMENT`, or of several bodies `NAME/SEGMENT` |
 //! | `/sensors/NAME/pose` | `foxglove.PoseInFrame` | one sensor, while it is good |
 //! | `/scene/sensors` | `foxglove.SceneUpdate` | sensors as balls, coloured by how far to trust them, with their names |
 //! | `/scene/body` | `foxglove.SceneUpdate` | the skeleton |
@@ -26,7 +26,7 @@ pub mod wire;
 
 use std::sync::Arc;
 
-use crate::{Payload, Stamp, Topic};
+use crate::{Payload, STREAMS, Stamp, Topic};
 use posed_stage::input::{Model, SensorIndex};
 use posed_stage::layout::BodyLayout;
 use posed_stage::{RecordingContent, Stage};
@@ -103,7 +103,7 @@ pub fn views(stage: &Stage, truth: bool) -> Vec<Channel> {
     if !stage.magnetic_indices().is_empty() {
         channels.push(Channel::new("/scene/sensors", "foxglove.SceneUpdate", Content::Sensors));
     }
-    if BodyLayout::of(stage).is_some() {
+    if BodyLayout::all(stage).iter().any(Option::is_some) {
         channels.push(Channel::new("/scene/body", "foxglove.SceneUpdate", Content::Body));
     }
     channels.push(Channel::new("/log", "foxglove.Log", Content::Log));
@@ -166,15 +166,15 @@ impl Views {
 /// Which states a thinned recording shows: the first of each step of time, so that sensors and body are of the same moment.
 #[derive(Clone, Debug, Default)]
 struct Pace {
-    /// The step that was shown last, by topic.
-    shown: [Option<i64>; Topic::COUNT],
+    /// The step that was shown last, by stream.
+    shown: [Option<i64>; STREAMS],
 }
 
 impl Pace {
-    /// Every event, and the first state of a topic in each step.
+    /// Every event, and the first state of a stream in each step.
     fn is_due(&mut self, stamp: &Stamp) -> bool {
         let step = Some(stamp.t_us.div_euclid(THINNED_US));
-        let before = std::mem::replace(&mut self.shown[stamp.topic.index()], step);
+        let before = std::mem::replace(&mut self.shown[stamp.stream()], step);
         stamp.topic.is_event() || before != step
     }
 }

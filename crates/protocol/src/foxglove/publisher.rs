@@ -8,22 +8,23 @@ use super::scene::{Pose, SceneUpdate, Time};
 use super::{Channel, Content, ROOM, log};
 use crate::{Encoding, Fields, Names, Payload, Stamp, Topic, View, encode};
 use posed_fusion::body::Skeleton;
-use posed_stage::Stage;
 use posed_stage::input::{Model, Truth};
 use posed_stage::layout::skeleton_of;
 use posed_stage::output::{Body, Estimate, Outcome, OutcomeKind, SensorEstimate};
+use posed_stage::{BodyIndex, Stage};
 
 /// Writes the messages of channels; knows where the transmitter is.
 #[derive(Clone, Debug)]
 pub struct Publisher {
     epoch_utc_ns: i64,
     names: Names,
-    skeleton: Option<Skeleton>,
+    /// By body.
+    skeletons: Vec<Option<Skeleton>>,
     /// Where the transmitter stands, of a stage that has one.
     transmitter: Option<Pose>,
-    /// Names of the sensors' frames, and of the segments'.
+    /// Names of the sensors' frames, and by body of the segments'.
     sensor_frames: Vec<String>,
-    segment_frames: Vec<String>,
+    segment_frames: Vec<Vec<String>>,
     seq: [u64; Topic::COUNT],
     body: Vec<u8>,
     message: Vec<u8>,
@@ -71,14 +72,18 @@ impl Publisher {
     /// For a stage whose epoch is `epoch_utc_ns`, ns since 1970.
     pub fn new(stage: &Stage, epoch_utc_ns: i64) -> Self {
         let names = Names::new(stage);
-        let segments = names.body().map_or(&[][..], |layout| &layout.segments);
+        let frames = |body: BodyIndex| -> Vec<String> {
+            let segments = names.body(body).map_or(&[][..], |layout| &layout.segments);
+            let of = if stage.bodies.len() > 1 { names.body_name(body) } else { "body" };
+            segments.iter().map(|segment| format!("{of}/{}", segment.name)).collect()
+        };
         let placed = stage.transmitter.pose_in_room.unwrap_or(posed_stage::Pose::IDENTITY);
         let transmitter = Pose::of(placed.position_m, placed.orientation_wxyz);
         Self {
             epoch_utc_ns,
-            skeleton: stage.body.as_ref().and_then(skeleton_of),
+            skeletons: stage.bodies.iter().map(skeleton_of).collect(),
             sensor_frames: names.sensors().map(|(name, _)| format!("sensors/{name}")).collect(),
-            segment_frames: segments.iter().map(|segment| format!("body/{}", segment.name)).collect(),
+            segment_frames: names.bodies().map(frames).collect(),
             names,
             transmitter: transmitter.filter(|_| !stage.magnetic_indices().is_empty()),
             seq: [0; Topic::COUNT],
@@ -138,7 +143,7 @@ impl Publisher {
                     json(&SceneUpdate::sensors(time, estimate, &self.names, self.transmitter), &mut body);
                 }
                 (Content::Body, Payload::Body(figure)) => {
-                    if let Some(skeleton) = &self.skeleton {
+                    if let Some(Some(skeleton)) = self.skeletons.get(usize::from(figure.index)) {
                         json(&SceneUpdate::body(time, figure, skeleton), &mut body);
                     }
                 }
@@ -180,7 +185,8 @@ impl Publisher {
 
     /// From the room to every segment that sensors show.
     fn segment_frames(&self, timestamp: Time, body: &Body) -> FrameTransforms<'_> {
-        let transforms = self.segment_frames.iter().zip(&body.segments).filter_map(|(frame, segment)| {
+        let frames = self.segment_frames.get(usize::from(body.index)).map_or(&[][..], Vec::as_slice);
+        let transforms = frames.iter().zip(&body.segments).filter_map(|(frame, segment)| {
             let shown = segment.state.is_shown();
             let pose = Pose::of(segment.position_m.filter(|_| shown)?, segment.orientation_wxyz?)?;
             Some(FrameTransform::new(timestamp, frame, pose))

@@ -10,6 +10,7 @@ use crate::{Names, round};
 use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton};
 use posed_geometry::isometry;
 use posed_stage::output::{Body, Estimate, SegmentEstimate, SegmentState, SensorState};
+use posed_stage::{BodyIndex, MOST_BODIES};
 
 /// Diameter of a sensor's ball, m.
 const BALL_M: f64 = 0.04;
@@ -238,7 +239,7 @@ impl<'a> SceneUpdate<'a> {
 
     /// The figure: trunk, shoulders, hips, limbs, head.
     pub(super) fn body(timestamp: Time, body: &Body, skeleton: &Skeleton) -> Self {
-        let mut scene = Self::new(timestamp, "body");
+        let mut scene = Self::new(timestamp, body_id(body.index));
         let [entity] = &mut scene.entities;
         let mut lines = Lines {
             r#type: 2,
@@ -282,6 +283,15 @@ impl<'a> SceneUpdate<'a> {
         entity.lines.push(lines);
         scene
     }
+}
+
+/// What is drawn of a body takes the place of what was drawn of it before, and of nobody else.
+fn body_id(body: BodyIndex) -> &'static str {
+    const IDS: [&str; MOST_BODIES] = [
+        "body", "body2", "body3", "body4", "body5", "body6", "body7", "body8", "body9", "body10", "body11",
+        "body12", "body13", "body14", "body15", "body16",
+    ];
+    IDS[usize::from(body).min(MOST_BODIES - 1)]
 }
 
 struct DrawnSegment {

@@ -74,6 +74,7 @@ fn figure() -> Body {
         fault: None,
     };
     Body {
+        index: 0,
         t_valid: Timestamp::from_nanos(1_250_000_000),
         heading: Heading::Field,
         heading_sigma_rad: Some(0.02),

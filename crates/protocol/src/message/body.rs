@@ -1,4 +1,4 @@
-//! Topic `body`: segments and joint angles of the person who wears the sensors.
+//! Topic `body`: segments and joint angles of who wears sensors; one message for each body.
 
 use std::collections::BTreeMap;
 
@@ -11,8 +11,11 @@ use posed_stage::output::{PositionSource, SegmentState};
 /// Body of `body`: one time of the whole figure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Figure {
-    /// Capture time of the newest sample in it, s; rises strictly.
+    /// Capture time of the newest sample in it, s; rises strictly from one message of this body to the next.
     pub t_s: f64,
+    /// Which body it is, by its name in the stage file.
+    #[serde(default)]
+    pub name: String,
     /// Where the heading comes from.
     pub heading: HeadingSource,
     /// For how long it has been held without a field that is believed, s; 0 otherwise.

@@ -15,9 +15,12 @@ pub struct Hello {
     pub stage: String,
     /// The stage's epoch: UTC in RFC 3339 with nanoseconds.
     pub epoch_utc: String,
-    /// The body's skeleton; null on a stage without a body.
+    /// The bodies that wear sensors, in the stage's order.
+    #[serde(default)]
+    pub bodies: Vec<HelloBody>,
+    /// The first body's skeleton; null on a stage without a body.
     pub skeleton: Option<Skeleton>,
-    /// Height of the person who wears the sensors, m: gives the lengths of the segments; null where it is not known.
+    /// Its height, m: gives the lengths of the segments; null where it is not known.
     pub height_m: Option<f64>,
     /// Topics that this stage publishes.
     pub topics: Vec<Topic>,
@@ -29,6 +32,19 @@ pub struct Hello {
     pub role: Role,
     /// Number of the newest event, 0 before the first: what a client that starts now has not missed.
     pub last_event_id: u64,
+}
+
+/// Who wears sensors.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct HelloBody {
+    /// Its name.
+    pub name: String,
+    /// Colour that it is to be drawn in, `#rrggbb`.
+    pub color: String,
+    /// Its skeleton.
+    pub skeleton: Skeleton,
+    /// Its height, m: gives the lengths of its segments; null where it is not known.
+    pub height_m: Option<f64>,
 }
 
 /// A sensor by name.

@@ -31,7 +31,7 @@ pub use self::body::{Contacts, Figure, HeadingSource, JointEntry, SegmentEntry};
 pub use self::exercise::{Begun, Deviation, ExerciseChange, ExerciseEvent, Judged, Spoken};
 pub use self::faults::{Fault, FaultChange};
 pub use self::field::{FieldChange, FieldEvent};
-pub use self::hello::{Hello, HelloSensor};
+pub use self::hello::{Hello, HelloBody, HelloSensor};
 pub use self::jobs::{Job, JobState, Jobs};
 pub use self::keyframes::{KeyPose, ScrewMotion};
 pub use self::reply::{ErrorReply, OkReply};

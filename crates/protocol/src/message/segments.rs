@@ -15,9 +15,12 @@ pub struct SegmentBody {
     pub event_id: u64,
     /// Capture time at which the segment begins, s; of a confirmed one it may differ a little from the provisional one's.
     pub t_valid_s: f64,
+    /// Whose motion it is, by the name of the body; null on a stage without one.
+    #[serde(default)]
+    pub body: Option<String>,
     /// What is said of the segment.
     pub event: SegmentEvent,
-    /// Number of the segment, from 1: all events of one segment carry it. It ends where the next confirmed one begins.
+    /// Number of the segment, from 1, body by body: all events of one segment carry it. It ends where the next confirmed one of the body begins.
     pub segment: u64,
     /// What it shows.
     pub label: String,

@@ -21,9 +21,9 @@ use self::wire::Datagram;
 use crate::rate::Rate;
 use posed_fusion::body::{BodySegment, Skeleton, WHOLE, WholeSegment, completed, whole, whole_t_pose};
 use posed_geometry::orientation_from_wxyz;
-use posed_stage::Stage;
-use posed_stage::layout::skeleton_of;
+use posed_stage::layout::{color_of, skeleton_of};
 use posed_stage::output::Body;
+use posed_stage::{BodyIndex, Stage};
 
 /// Port on which programs listen by custom.
 pub const DEFAULT_TARGET: &str = "127.0.0.1:9763";
@@ -35,8 +35,10 @@ const DESCRIBED_S: f64 = 1.0;
 /// Turns bodies into datagrams.
 #[derive(Clone, Debug)]
 pub struct Publisher {
+    body: BodyIndex,
     skeleton: Option<Skeleton>,
-    stage: String,
+    name: String,
+    color: String,
     character: u8,
     euler: bool,
     rate: Rate,
@@ -47,12 +49,19 @@ pub struct Publisher {
 }
 
 impl Publisher {
-    /// For a stage, as `[mvn]` of its file has it. Without the height of the body in the stage file nothing is sent.
-    pub fn new(stage: &Stage, settings: &posed_stage::Mvn) -> Self {
+    /// For a body of a stage, as `[mvn]` of its file has it: the first has the number that it gives, each further one the next. Without the height of the body in the
+    /// stage file nothing is sent.
+    pub fn new(stage: &Stage, body: BodyIndex, settings: &posed_stage::Mvn) -> Self {
+        let worn = stage.bodies.get(usize::from(body));
         Self {
-            skeleton: stage.body.as_ref().and_then(skeleton_of),
-            stage: stage.name.clone(),
-            character: settings.character,
+            body,
+            skeleton: worn.and_then(skeleton_of),
+            name: match &*stage.bodies {
+                [] | [_] => stage.name.clone(),
+                _ => worn.map_or_else(String::new, |body| body.name.clone()),
+            },
+            color: color_of(stage, body)[1..].to_owned(),
+            character: settings.character.wrapping_add(body),
             euler: settings.euler,
             rate: Rate::every(1.0 / settings.rate_hz.unwrap_or(DEFAULT_RATE_HZ)),
             sample: 0,
@@ -61,9 +70,9 @@ impl Publisher {
         }
     }
 
-    /// Gives `emit` the datagrams of a body, if one is due by the rate and its hips are shown.
+    /// Gives `emit` the datagrams of a body, if it is this one's, one is due by the rate and its hips are shown.
     pub fn body(&mut self, body: &Body, mut emit: impl FnMut(&[u8])) {
-        let Some(skeleton) = self.skeleton else { return };
+        let Some(skeleton) = self.skeleton.filter(|_| body.index == self.body) else { return };
         let Some(figure) = Figure::of(body, &skeleton) else { return };
         let t_s = body.t_valid.as_secs_f64();
         if !self.rate.is_due(t_s) {
@@ -78,7 +87,7 @@ impl Publisher {
         self.sample = self.sample.wrapping_add(1);
         if !(0.0..DESCRIBED_S).contains(&(t_s - self.described_s)) {
             self.described_s = t_s;
-            let words = format!("name:{}\nxmid:{}\ncolor:1e88e5\n", self.stage, self.character);
+            let words = format!("name:{}\nxmid:{}\ncolor:{}\n", self.name, self.character, self.color);
             let mut meta = Datagram::new(12, &head, 1);
             meta.text(&words);
             emit(&meta.finish());

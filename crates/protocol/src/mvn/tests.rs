@@ -17,7 +17,7 @@ fn stage(more: &str) -> (Stage, posed_stage::Mvn) {
 
 fn publisher(more: &str) -> Publisher {
     let (stage, settings) = stage(more);
-    Publisher::new(&stage, &settings)
+    Publisher::new(&stage, 0, &settings)
 }
 
 fn t_posed() -> [UnitQuaternion<f64>; SEGMENTS] {

@@ -22,7 +22,7 @@ use posed_fusion::body::Skeleton;
 use posed_geometry::isometry;
 use posed_stage::layout::skeleton_of;
 use posed_stage::output::{Body, Estimate};
-use posed_stage::{Stage, VmcBones};
+use posed_stage::{BodyIndex, Stage, VmcBones};
 
 /// Port on which programs listen by custom.
 pub const DEFAULT_TARGET: &str = "127.0.0.1:39539";
@@ -41,6 +41,7 @@ const NOW: OscTime = OscTime { seconds: 0, fractional: 1 };
 /// Turns bodies into datagrams.
 #[derive(Clone, Debug)]
 pub struct Publisher {
+    body: BodyIndex,
     skeleton: Option<Skeleton>,
     /// Which bones a body has.
     bones: fn(&Body, &Skeleton, UnitQuaternion<f64>, f64) -> Vec<Bone>,
@@ -58,13 +59,17 @@ pub struct Publisher {
 }
 
 impl Publisher {
-    /// For a stage, as `[vmc]` of its file has it. Bones need the height of the body in the stage file; without it none are sent.
-    pub fn new(stage: &Stage, settings: &posed_stage::Vmc) -> Self {
-        let person_m = stage.body.as_ref().and_then(|body| body.height_m);
+    /// For a body of a stage, as `[vmc]` of its file has it, with the trackers that nobody else wears. Bones need the height of the body in the stage file; without
+    /// it none are sent.
+    pub fn new(stage: &Stage, body: BodyIndex, settings: &posed_stage::Vmc) -> Self {
+        let worn = stage.bodies.get(usize::from(body));
+        let person_m = worn.and_then(|body| body.height_m);
         let scale = settings.height_m.zip(person_m).map_or(1.0, |(avatar_m, person_m)| avatar_m / person_m);
-        let trackers = if settings.trackers { stage.magnetic_indices() } else { Vec::new() };
+        let mut trackers = if settings.trackers { stage.magnetic_indices() } else { Vec::new() };
+        trackers.retain(|at| stage.wearer_of(&stage.sensors[*at]).is_none_or(|wearer| wearer == body));
         Self {
-            skeleton: stage.body.as_ref().and_then(skeleton_of),
+            body,
+            skeleton: worn.and_then(skeleton_of),
             bones: match settings.bones {
                 VmcBones::Required => bones::of,
                 VmcBones::All => bones::all,
@@ -78,9 +83,12 @@ impl Publisher {
         }
     }
 
-    /// Gives `emit` the datagrams of a body, if one is due by the rate: the bones that sensors show, relative to their parents, in
+    /// Gives `emit` the datagrams of a body, if it is this one's and is due by the rate: the bones that sensors show, relative to their parents, in
     /// Unity's axes, m, and the trackers of the newest frame. Where no bone is shown the avatar counts as not loaded.
     pub fn body(&mut self, body: &Body, emit: impl FnMut(&[u8])) {
+        if body.index != self.body {
+            return;
+        }
         self.body_s = Some(body.t_valid.as_secs_f64());
         if !self.rate.is_due(body.t_valid.as_secs_f64()) {
             return;

@@ -92,7 +92,7 @@ fn bones_put_together_are_the_body() {
         let orientations = rotations(f64::from(seed));
         let body = body(&orientations);
         let (stage, settings) = stage("");
-        let messages = received(&mut Publisher::new(&stage, &settings), &body);
+        let messages = received(&mut Publisher::new(&stage, 0, &settings), &body);
         assert_eq!(messages["/VMC/Ext/OK"], [OscType::Int(1)]);
         assert_eq!(messages["/VMC/Ext/T"], [OscType::Float(1.5)]);
         let joints = joints(&messages);
@@ -124,7 +124,7 @@ fn bones_put_together_are_the_body() {
 #[test]
 fn hanging_arms_are_a_quarter_down_and_everything_else_is_at_rest() {
     let (stage, settings) = stage("");
-    let messages = received(&mut Publisher::new(&stage, &settings), &body(&facing_y()));
+    let messages = received(&mut Publisher::new(&stage, 0, &settings), &body(&facing_y()));
     let half = 0.5_f64.sqrt();
     for (name, vector) in [
         ("Hips", [0.0, 0.0, 0.0, 1.0]),
@@ -171,8 +171,8 @@ fn an_avatar_that_has_all_bones_holds_chest_head_and_limbs_as_one_of_fewer_does(
             facing_y()[0] * turn
         });
         let body = body(&orientations);
-        let few = received(&mut Publisher::new(&fewer, &settings), &body);
-        let many = received(&mut Publisher::new(&all, &all_settings), &body);
+        let few = received(&mut Publisher::new(&fewer, 0, &settings), &body);
+        let many = received(&mut Publisher::new(&all, 0, &all_settings), &body);
         assert_eq!(many.len(), few.len() + 7, "chest, upper chest, neck, shoulders, toes");
         let origins_m = Skeleton::from_height(1.8).whole_origins_m(
             &whole(&orientations),
@@ -202,7 +202,7 @@ fn an_avatar_that_has_all_bones_holds_chest_head_and_limbs_as_one_of_fewer_does(
         assert!((toes_m - Vector3::new(origin_m.x, origin_m.z, origin_m.y)).norm() < 1e-5);
     }
     // Nobody bends: every bone is as it rests, arms but hanging.
-    let many = received(&mut Publisher::new(&all, &all_settings), &body(&facing_y()));
+    let many = received(&mut Publisher::new(&all, 0, &all_settings), &body(&facing_y()));
     for name in
         ["Spine", "Chest", "UpperChest", "Neck", "LeftShoulder", "RightShoulder", "LeftToes", "RightToes"]
     {
@@ -211,12 +211,12 @@ fn an_avatar_that_has_all_bones_holds_chest_head_and_limbs_as_one_of_fewer_does(
     // Without a chest there is no spine; without a head's sensor, no neck.
     let mut body = body(&facing_y());
     body.segments[BodySegment::Head.index()].sensor = None;
-    let many = received(&mut Publisher::new(&all, &all_settings), &body);
+    let many = received(&mut Publisher::new(&all, 0, &all_settings), &body);
     assert!(
         many.contains_key("/VMC/Ext/Bone/Pos UpperChest") && !many.contains_key("/VMC/Ext/Bone/Pos Neck")
     );
     body.segments[BodySegment::Torso.index()].state = SegmentState::Missing;
-    let many = received(&mut Publisher::new(&all, &all_settings), &body);
+    let many = received(&mut Publisher::new(&all, 0, &all_settings), &body);
     assert!(!many.contains_key("/VMC/Ext/Bone/Pos Spine") && many.contains_key("/VMC/Ext/Bone/Pos LeftToes"));
 }
 
@@ -225,7 +225,7 @@ fn heading_and_height_are_those_of_the_avatar() {
     let (stage, settings) = stage("heading_deg = 90.0\nheight_m = 0.9");
     // Looking along the room's x; turned to the left it looks along y, which is Unity's forward.
     let upright = [posed_fusion::body::upright(); SEGMENTS];
-    let messages = received(&mut Publisher::new(&stage, &settings), &body(&upright));
+    let messages = received(&mut Publisher::new(&stage, 0, &settings), &body(&upright));
     let (hips, rotation) = transform(&messages["/VMC/Ext/Bone/Pos Hips"]);
     assert!(rotation.angle() < 1e-6);
     // (0.4, -0.3) turned by a quarter is (0.3, 0.4); half as large.
@@ -237,21 +237,21 @@ fn what_sensors_do_not_show_is_not_sent_and_nothing_is_said_to_be_nothing() {
     let (stage, settings) = stage("");
     let mut body = body(&facing_y());
     body.segments[BodySegment::Torso.index()].state = SegmentState::Suspect;
-    let messages = received(&mut Publisher::new(&stage, &settings), &body);
+    let messages = received(&mut Publisher::new(&stage, 0, &settings), &body);
     let bones: Vec<_> = messages.keys().filter_map(|key| key.strip_prefix("/VMC/Ext/Bone/Pos ")).collect();
     let legs =
         ["Hips", "LeftFoot", "LeftLowerLeg", "LeftUpperLeg", "RightFoot", "RightLowerLeg", "RightUpperLeg"];
     assert_eq!(bones, legs, "no arms, no head");
     // A foot without a sensor of its own is left to whoever knows better.
     body.segments[BodySegment::FootL.index()].sensor = None;
-    let messages = received(&mut Publisher::new(&stage, &settings), &body);
+    let messages = received(&mut Publisher::new(&stage, 0, &settings), &body);
     assert!(!messages.contains_key("/VMC/Ext/Bone/Pos LeftFoot"));
     body.segments[BodySegment::Pelvis.index()].state = SegmentState::Missing;
-    let messages = received(&mut Publisher::new(&stage, &settings), &body);
+    let messages = received(&mut Publisher::new(&stage, 0, &settings), &body);
     assert_eq!(messages["/VMC/Ext/OK"], [OscType::Int(0)]);
     assert_eq!(messages.len(), 2);
     let mut emitted = 0;
-    let mut publisher = Publisher::new(&stage, &settings);
+    let mut publisher = Publisher::new(&stage, 0, &settings);
     received(&mut publisher, &body);
     publisher.look(2.0, |_| emitted += 1);
     assert_eq!(emitted, 0, "half a second ago");
@@ -262,7 +262,7 @@ fn what_sensors_do_not_show_is_not_sent_and_nothing_is_said_to_be_nothing() {
 #[test]
 fn the_rate_is_kept_and_trackers_are_sent_in_room_axes() {
     let (stage, settings) = stage("rate_hz = 30.0\ntrackers = true");
-    let mut publisher = Publisher::new(&stage, &settings);
+    let mut publisher = Publisher::new(&stage, 0, &settings);
     let pose = PoseEstimate {
         position_m: Some([0.1, 0.2, 0.3]),
         orientation_wxyz: [0.5_f64.sqrt(), 0.0, 0.0, 0.5_f64.sqrt()],
@@ -293,7 +293,7 @@ fn the_rate_is_kept_and_trackers_are_sent_in_room_axes() {
 #[test]
 fn trackers_are_sent_where_a_body_has_a_height_and_never_comes() {
     let (stage, settings) = stage("rate_hz = 50.0\ntrackers = true");
-    let mut publisher = Publisher::new(&stage, &settings);
+    let mut publisher = Publisher::new(&stage, 0, &settings);
     let mut sent_s = Vec::new();
     let at = |s: f64| Timestamp::from_secs_f64(s);
     for k in 0..100 {
@@ -310,7 +310,7 @@ fn trackers_are_sent_where_a_body_has_a_height_and_never_comes() {
 #[test]
 fn bytes_are_those_of_the_protocol() {
     let (stage, settings) = stage("");
-    let mut publisher = Publisher::new(&stage, &settings);
+    let mut publisher = Publisher::new(&stage, 0, &settings);
     let mut emitted = Vec::new();
     publisher.look(1.5, |datagram| emitted.push(datagram.to_vec()));
     let mut expected = b"#bundle\0\0\0\0\0\0\0\0\x01\0\0\0\x14/VMC/Ext/OK\0,i\0\0\0\0\0\0".to_vec();

@@ -9,12 +9,12 @@ use super::poses::SensorsMessage;
 use super::{SequenceFrame, Sequences, TableError};
 use crate::{Item, ReadError, Take};
 use posed_protocol::Figure;
-use posed_stage::signals;
+use posed_stage::{Stage, signals};
 
 impl Sequences {
     /// Reads positions in the room, m, from a recording (`.mcap`): a frame per `sensors` message, with the sensors whose pose may
     /// be used as good and the segments of the newest `body` message before it, unless that is older than 0.05 s
-    /// ([`signals::BODY_AGE_S`]). No labels. A torn recording gives what it has.
+    /// ([`signals::BODY_AGE_S`]). Of several bodies it is the first of the stage. No labels. A torn recording gives what it has.
     ///
     /// # Errors
     /// The recording is damaged, or is none.
@@ -24,11 +24,17 @@ impl Sequences {
         let mut joints: Vec<String> = Vec::new();
         let mut body: Vec<(usize, [f64; 3])> = Vec::new();
         let mut body_t_s = f64::NEG_INFINITY;
-        for item in Take::open(path).map_err(failed)? {
+        let take = Take::open(path).map_err(failed)?;
+        let bodies = Stage::parse(&take.header().stage_toml).map(|stage| stage.bodies).unwrap_or_default();
+        let is_other = |name: &str| bodies.len() > 1 && bodies[0].name != name;
+        for item in take {
             let Item::Message(message) = item.map_err(failed)? else { continue };
             match &*message.topic {
                 "body" => {
                     let figure = figure(&message.json).map_err(failed)?;
+                    if is_other(&figure.name) {
+                        continue;
+                    }
                     body.clear();
                     body_t_s = figure.t_s;
                     for segment in figure.segments {

@@ -1,6 +1,6 @@
 //! What a live stage saw of every frame of a recording, row by row.
 //!
-//! What comes in: a recording. What goes out: the columns of [`signals::columns`] and of the body, and a row per frame. Only the
+//! What comes in: a recording. What goes out: the columns of [`signals::columns`] and of the bodies, and a row per frame. Only the
 //! newest row is kept.
 
 use std::collections::BTreeMap;
@@ -13,9 +13,9 @@ use serde::Deserialize;
 use super::TableError;
 use super::poses::{SensorEntry, SensorsMessage};
 use crate::{Item, ReadError, Take};
-use posed_stage::Stage;
 use posed_stage::layout::BodyLayout;
-use posed_stage::signals::{self, InertialColumns};
+use posed_stage::signals::{self, InertialColumns, prefix_of};
+use posed_stage::{BodyIndex, Stage};
 
 /// A recording as named channels over time.
 pub struct RecordedStreams {
@@ -23,39 +23,58 @@ pub struct RecordedStreams {
     take: Take<BufReader<File>>,
     sensors: Vec<String>,
     inertial: InertialColumns,
-    /// Joint and angle of those of the body.
-    angles: Vec<(String, &'static str)>,
+    /// Index of the body, joint and angle of those of bodies.
+    angles: Vec<(usize, String, &'static str)>,
+    /// Names of the bodies, in the stage's order.
+    bodies: Vec<String>,
     columns: Vec<String>,
     row: Vec<Option<f64>>,
-    body: Option<BodyMessage>,
+    /// The newest of each body.
+    newest: Vec<Option<BodyMessage>>,
 }
 
 impl RecordedStreams {
-    /// Opens a recording.
+    /// Opens a recording; with `body` of several bodies that one's joints alone, named as those of an only one.
     ///
     /// # Errors
-    /// It is damaged, or is none.
-    pub fn open(path: &Path) -> Result<Self, TableError> {
+    /// It is damaged, or is none, or has no such body.
+    pub fn open(path: &Path, body: Option<&str>) -> Result<Self, TableError> {
         let take = Take::open(path)
             .map_err(|source| TableError::Recording { file: path.display().to_string(), source })?;
         let sensors = take.header().sensors.clone();
         let mut columns = signals::columns(sensors.iter().map(String::as_str));
         let stage = Stage::parse(&take.header().stage_toml).ok();
-        let layout = stage.as_ref().and_then(BodyLayout::of);
         let inertial = stage.as_ref().map(InertialColumns::of).unwrap_or_default();
         columns.extend(stage.iter().flat_map(|stage| inertial.names(stage)));
-        columns.extend(layout.iter().flat_map(BodyLayout::columns));
-        let names = |layout: &BodyLayout| -> Vec<(String, &'static str)> {
-            let name = |index: &usize| layout.angle(*index);
-            layout.shown_angles.iter().map(name).map(|(joint, angle)| (joint.to_owned(), angle)).collect()
-        };
-        let angles = layout.as_ref().map_or_else(Vec::new, names);
+        let layouts = stage.as_ref().map(BodyLayout::all).unwrap_or_default();
+        let bodies: Vec<String> =
+            stage.iter().flat_map(|stage| &stage.bodies).map(|body| body.name.clone()).collect();
+        if let Some(name) = body.filter(|name| !bodies.iter().any(|known| known == name)) {
+            let reason = format!("its stage has no body {name:?}");
+            let source = ReadError::NotARecording(reason);
+            return Err(TableError::Recording { file: path.display().to_string(), source });
+        }
+        let mut angles = Vec::new();
+        for (index, layout) in layouts.iter().enumerate() {
+            let wanted = body.is_none_or(|name| bodies[index] == name);
+            let Some(layout) = layout.as_ref().filter(|_| wanted) else { continue };
+            let prefix =
+                stage.as_ref().filter(|_| body.is_none()).map(|stage| prefix_of(stage, index as BodyIndex));
+            let prefix = prefix.unwrap_or_default();
+            columns.extend(layout.columns().map(|column| format!("{prefix}{column}")));
+            let name = |angle: &usize| {
+                let (joint, angle) = layout.angle(*angle);
+                (index, joint.to_owned(), angle)
+            };
+            angles.extend(layout.shown_angles.iter().map(name));
+        }
         let row = Vec::with_capacity(columns.len());
-        Ok(Self { path: path.to_owned(), take, sensors, inertial, angles, columns, row, body: None })
+        let newest = bodies.iter().map(|_| None).collect();
+        Ok(Self { path: path.to_owned(), take, sensors, inertial, angles, bodies, columns, row, newest })
     }
 
     /// Names of the channels: of each sensor those of [`signals::columns`] (room, m, unit quaternion), of inertial sensors
-    /// without a body those of [`signals::inertial_columns`], of a body its joint angles (`JOINT_ANGLE_deg`). A stage file of
+    /// without a body those of [`signals::inertial_columns`], of bodies their joint angles (`JOINT_ANGLE_deg`, of several `NAME.JOINT_ANGLE_deg`). A stage file of
     /// another version shows the first kind alone.
     pub fn columns(&self) -> &[String] {
         &self.columns
@@ -79,7 +98,10 @@ impl RecordedStreams {
         for item in self.take.by_ref() {
             let Item::Message(message) = item? else { continue };
             if &*message.topic == "body" && !self.angles.is_empty() {
-                self.body = Some(BodyMessage::parse(&message.json)?);
+                let body = BodyMessage::parse(&message.json)?;
+                // A single one of an earlier version has no name.
+                let at = self.bodies.iter().position(|name| *name == body.name).unwrap_or(0);
+                self.newest[at] = Some(body);
             }
             if &*message.topic != "sensors" {
                 continue;
@@ -101,8 +123,13 @@ impl RecordedStreams {
                 let angular_velocity_rad_s = measured.and_then(|measured| measured.angular_velocity_rad_s);
                 signals::append_inertial(specific_force_m_s2, angular_velocity_rad_s, &mut self.row);
             }
-            let fresh = self.body.as_ref().filter(|body| message.t_s - body.t_s <= signals::BODY_AGE_S);
-            self.row.extend(self.angles.iter().map(|(joint, angle)| fresh?.angle_deg(joint, angle)));
+            let newest = &self.newest;
+            let fresh = |body: &&BodyMessage| message.t_s - body.t_s <= signals::BODY_AGE_S;
+            self.row.extend(
+                self.angles.iter().map(|(body, joint, angle)| {
+                    newest[*body].as_ref().filter(fresh)?.angle_deg(joint, angle)
+                }),
+            );
             return Ok(Some(message.t_s));
         }
         Ok(None)
@@ -113,6 +140,8 @@ impl RecordedStreams {
 #[derive(Deserialize)]
 struct BodyMessage {
     t_s: f64,
+    #[serde(default)]
+    name: String,
     joints: Vec<Joint>,
 }
 

@@ -57,12 +57,13 @@ impl Streams {
         Ok(streams)
     }
 
-    /// Reads what the live stage sees, of every frame of a recording: the columns of [`RecordedStreams::columns`].
+    /// Reads what the live stage sees, of every frame of a recording: the columns of [`RecordedStreams::columns`], of all bodies or of
+    /// one by its name.
     ///
     /// # Errors
-    /// The recording is damaged, or is none.
-    pub fn read_recording(path: &Path) -> Result<Self, TableError> {
-        let mut recording = RecordedStreams::open(path)?;
+    /// The recording is damaged, or is none, or has no such body.
+    pub fn read_recording(path: &Path, body: Option<&str>) -> Result<Self, TableError> {
+        let mut recording = RecordedStreams::open(path, body)?;
         let mut streams = Self { columns: recording.columns().to_vec(), ..Self::default() };
         while let Some(t_s) = recording.next_row()? {
             streams.t_s.push(t_s);

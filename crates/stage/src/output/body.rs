@@ -5,6 +5,7 @@ use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 use serde_big_array::BigArray;
 
+use crate::BodyIndex;
 use crate::input::SensorIndex;
 use posed_fusion::body::{ANGLES, AngleSpread, Heading};
 use posed_fusion::faults::Cause;
@@ -13,6 +14,9 @@ use posed_fusion::faults::Cause;
 /// What it is worth: `docs/body.md`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Plain)]
 pub struct Body {
+    /// Which of the stage's bodies it is.
+    #[serde(default)]
+    pub index: BodyIndex,
     /// Time that it belongs to: with IMUs on the human skeleton the capture time of the newest sample in it, else the frame's.
     pub t_valid: Timestamp,
     /// Where its heading comes from.

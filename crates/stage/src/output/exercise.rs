@@ -74,6 +74,9 @@ pub struct LiveHint {
 /// Exercises of a subject, and how far it is.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct ExerciseState {
+    /// The body whose joints are counted, by name; null on a stage without bodies.
+    #[serde(default)]
+    pub body: Option<String>,
     /// The exercises that are counted.
     pub exercises: Vec<ExerciseProgress>,
     /// Repetitions of a set; null: one set without end.

@@ -1,32 +1,91 @@
-//! The body: segments, who sits where, and when a pose was held.
+//! The bodies: who wears what, segments, and when a pose was held.
 
-use super::super::body::{MOVEMENTS, POSES, SEGMENTS, TRUNK_MOVEMENTS};
+use super::super::body::{MOST_BODIES, MOVEMENTS, POSES, SEGMENTS, TRUNK_MOVEMENTS};
 use super::super::layout::{Wearers, skeleton_of};
 use super::super::problem::Notes;
-use super::super::{Skeleton, Stage};
-use super::{Item, suggest, unique};
+use super::super::{BodyIndex, Skeleton, Stage};
+use super::{Item, one_of, suggest, unique};
 
 pub(super) fn check(root: &Item<'_, '_>, notes: &mut Notes<'_>) {
     let sensors = root.items("sensor");
-    let Some(body) = root.item("body") else {
+    let bodies = root.items("body");
+    if bodies.is_empty() {
         for sensor in &sensors {
-            for key in ["segment", "mount_quat_wxyz", "offset_m"] {
+            for key in ["body", "segment", "mount_quat_wxyz", "offset_m"] {
                 if let Some(value) = sensor.get(key) {
                     notes.problem(
                         &value.span(),
                         key,
                         "nobody wears this sensor",
-                        "add a [body] table, or remove the key",
+                        "add a [[body]] table, or remove the key",
                     );
                 }
             }
         }
-        return;
-    };
+    }
+    named(&bodies, &sensors, notes);
+    for body in &bodies {
+        let wears = |sensor: &&Item<'_, '_>| match (sensor.text("body"), body.text("name")) {
+            (Some(worn_by), Some(name)) => worn_by.value == name.value,
+            (None, _) => bodies.len() == 1,
+            (Some(_), None) => false,
+        };
+        let worn: Vec<&Item<'_, '_>> = sensors.iter().filter(wears).collect();
+        check_body(body, &worn, notes);
+    }
+}
+
+/// Names that bodies can be told apart by, and sensors that say which one wears them.
+fn named(bodies: &[Item<'_, '_>], sensors: &[Item<'_, '_>], notes: &mut Notes<'_>) {
+    unique(bodies, "name", "body", notes);
+    if let Some(first) = bodies.get(MOST_BODIES) {
+        let message = format!("more than {MOST_BODIES} bodies are not followed");
+        notes.problem(&first.header, "body", message, "follow the others on a stage of their own");
+    }
+    let several = bodies.len() > 1;
+    for body in bodies {
+        let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+        if let Some(name) = body.text("name").filter(|name| !name.value.chars().all(plain)) {
+            let fix = "write letters, digits, `-` and `_`: it stands in names of columns and files";
+            notes.problem(&name.at, "name", format!("`{}` is no name for a body", name.value), fix);
+        }
+        if several && !body.has("name") {
+            let message = "one of several bodies has no name";
+            notes.problem(&body.header, "name", message, "add `name`: who wears the sensors");
+        }
+        let is_color = |text: &str| {
+            text.strip_prefix('#')
+                .is_some_and(|hex| hex.len() == 6 && hex.chars().all(|c| c.is_ascii_hexdigit()))
+        };
+        if let Some(color) = body.text("color").filter(|color| !is_color(color.value)) {
+            let message = format!("`{}` is no colour", color.value);
+            notes.problem(&color.at, "color", message, "write red, green and blue as \"#rrggbb\"");
+        }
+    }
+    let names: Vec<&str> = bodies.iter().filter_map(|body| Some(body.text("name")?.value)).collect();
+    for sensor in sensors {
+        match sensor.text("body") {
+            Some(body) if !bodies.is_empty() && !names.contains(&body.value) => {
+                let fix = suggest(body.value, &names, "give the body this `name`, or remove the key");
+                notes.problem(&body.at, "body", format!("there is no body `{}`", body.value), fix);
+            }
+            None if several => {
+                if let Some(segment) = sensor.get("segment") {
+                    let message = "there are several bodies, and nobody is said to wear this sensor";
+                    let fix = format!("add `body`: {}", one_of(names.iter().copied()));
+                    notes.problem(&segment.span(), "body", message, fix);
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+fn check_body(body: &Item<'_, '_>, sensors: &[&Item<'_, '_>], notes: &mut Notes<'_>) {
     let segments = body.items("segments");
     let custom = body.text("skeleton").is_some_and(|skeleton| skeleton.value == "custom");
     if custom {
-        tree(&body, &segments, notes);
+        tree(body, &segments, notes);
     } else if let Some(list) = body.get("segments") {
         let fix = "set skeleton = \"custom\", or remove [[body.segments]]";
         notes.problem(&list.span(), "segments", "the human skeleton has its own segments", fix);
@@ -36,7 +95,7 @@ pub(super) fn check(root: &Item<'_, '_>, notes: &mut Notes<'_>) {
     } else {
         SEGMENTS.to_vec()
     };
-    body_sensors(&body, &sensors, &names, notes);
+    body_sensors(body, sensors, &names, notes);
     if custom {
         for key in ["reset_by_button", "reset_by_double_tap"] {
             if let Some(value) = body.get(key) {
@@ -45,18 +104,29 @@ pub(super) fn check(root: &Item<'_, '_>, notes: &mut Notes<'_>) {
             }
         }
     } else {
-        tapped(&body, &sensors, notes);
+        tapped(body, sensors, notes);
     }
-    calibrations(&body, &segments, custom, notes);
+    calibrations(body, &segments, custom, notes);
 }
 
 /// What the pipeline asks of a human body: one IMU on each segment at most, and a height to make the segments of.
 pub(super) fn check_wearer(root: &Item<'_, '_>, stage: &Stage, notes: &mut Notes<'_>) {
-    let (Some(body), Some(table)) = (&stage.body, root.item("body")) else { return };
-    if body.skeleton != Skeleton::Human {
-        return;
+    for ((index, body), table) in (0..).zip(&stage.bodies).zip(root.items("body")) {
+        if body.skeleton == Skeleton::Human {
+            check_human(root, stage, index, &table, notes);
+        }
     }
-    match Wearers::of(stage) {
+}
+
+fn check_human(
+    root: &Item<'_, '_>,
+    stage: &Stage,
+    index: BodyIndex,
+    table: &Item<'_, '_>,
+    notes: &mut Notes<'_>,
+) {
+    let body = &stage.bodies[usize::from(index)];
+    match Wearers::of(stage, index) {
         Err([first, second]) => {
             let sensors = root.items("sensor");
             let is_second =
@@ -131,7 +201,7 @@ fn tree(body: &Item<'_, '_>, segments: &[Item<'_, '_>], notes: &mut Notes<'_>) {
     }
 }
 
-fn body_sensors(body: &Item<'_, '_>, sensors: &[Item<'_, '_>], names: &[&str], notes: &mut Notes<'_>) {
+fn body_sensors(body: &Item<'_, '_>, sensors: &[&Item<'_, '_>], names: &[&str], notes: &mut Notes<'_>) {
     let given = body.text("mounting").is_some_and(|mounting| mounting.value == "given");
     for sensor in sensors {
         let segment = sensor.text("segment");
@@ -161,9 +231,9 @@ fn body_sensors(body: &Item<'_, '_>, sensors: &[Item<'_, '_>], names: &[&str], n
 }
 
 /// The segment that is tapped wears a sensor.
-fn tapped(body: &Item<'_, '_>, sensors: &[Item<'_, '_>], notes: &mut Notes<'_>) {
+fn tapped(body: &Item<'_, '_>, sensors: &[&Item<'_, '_>], notes: &mut Notes<'_>) {
     let Some(tapped) = body.text("reset_by_double_tap") else { return };
-    let sits = |sensor: &Item<'_, '_>| {
+    let sits = |sensor: &&Item<'_, '_>| {
         sensor.text("segment").or(sensor.text("name")).is_some_and(|segment| segment.value == tapped.value)
     };
     if !SEGMENTS.contains(&tapped.value) {
