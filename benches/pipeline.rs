@@ -4,17 +4,30 @@ use std::hint::black_box;
 
 use criterion::{BatchSize, Criterion, Throughput};
 use posed_pipeline::Pipeline;
-use posed_rig::{Rig, stage};
+use posed_rig::{Rig, people, stage};
+use posed_simulator::body::Activity;
 use posed_simulator::scenario::{DeviceScenario, Scenario};
+use posed_stage::Stage;
 
-fn second(criterion: &mut Criterion, name: &str, birds: &[u16], rate_hz: f64) {
-    let stage_file = stage(birds);
+fn birds(criterion: &mut Criterion, name: &str, birds: &[u16], rate_hz: f64) {
     let device = |index| DeviceScenario { name: format!("d{index}"), rate_hz, ..DeviceScenario::default() };
     let scenario = Scenario { devices: (0..birds.len()).map(device).collect(), ..Scenario::default() };
-    let mut rig = Rig::new(&stage_file, &scenario);
+    second(criterion, name, &stage(birds), &scenario);
+}
+
+/// Each with fifteen IMUs at 100 Hz: the frames of a second, with all that is made of them.
+fn crowd(criterion: &mut Criterion, count: usize) {
+    const NAMES: [&str; 5] = ["anna", "bert", "clara", "david", "eva"];
+    let cast: Vec<_> = NAMES[..count].iter().map(|name| (*name, 1.7, Activity::Squats)).collect();
+    let (stage, scenario) = people(&cast);
+    second(criterion, &format!("{count} people"), &stage, &scenario);
+}
+
+fn second(criterion: &mut Criterion, name: &str, stage: &Stage, scenario: &Scenario) {
+    let mut rig = Rig::new(stage, scenario);
     rig.run_until(9.0);
     let from = rig.log.partition_point(|entry| entry.t.as_secs_f64() < 8.0);
-    let mut warm = Pipeline::new(&stage_file).expect("the stage is right");
+    let mut warm = Pipeline::new(stage).expect("the stage is right");
     for entry in &rig.log[..from] {
         warm.push(entry, &mut |_| {});
     }
@@ -57,8 +70,10 @@ fn snapshot(criterion: &mut Criterion) {
 
 fn main() {
     let mut criterion = Criterion::default().configure_from_args();
-    second(&mut criterion, "8 birds of one flock", &[8], 90.0);
-    second(&mut criterion, "100 birds of 50 flocks", &[2; 50], 100.0);
+    birds(&mut criterion, "8 birds of one flock", &[8], 90.0);
+    birds(&mut criterion, "100 birds of 50 flocks", &[2; 50], 100.0);
+    crowd(&mut criterion, 1);
+    crowd(&mut criterion, 5);
     snapshot(&mut criterion);
     criterion.final_summary();
 }

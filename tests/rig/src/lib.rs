@@ -7,6 +7,7 @@
 pub mod counting;
 mod host;
 pub mod leg;
+mod people;
 mod rig;
 mod said;
 pub mod wand;
@@ -23,6 +24,7 @@ use posed_stage::input::Entry;
 use serde::Deserialize;
 
 pub use host::{Host, Sleepy};
+pub use people::{Member, people};
 pub use rig::{Rig, replay};
 pub use said::Said;
 

@@ -460,10 +460,11 @@ mod tests {
 
     use super::super::testing::received;
     use super::*;
+    use posed_fusion::body::{ANGLES, AngleSpread, Heading};
     use posed_fusion::faults::Cause;
     use posed_motion::exercise::EventKind;
     use posed_stage::Stage;
-    use posed_stage::output::{Estimate, Outcome};
+    use posed_stage::output::{Body, Estimate, Outcome, PositionSource};
     use posed_stage::output::{ExerciseOutcome, ExerciseWhat, OutcomeKind};
 
     fn distributor(limits: &Limits) -> Distributor {
@@ -601,6 +602,55 @@ mod tests {
             let got = received(&outbox).len() as i64 - 1;
             assert!((expected - 1..=expected).contains(&got), "{got} of {expected} per second");
         }
+    }
+
+    /// Who looks at several people sees each of them as often, the newest of all who waits for one, and all of them at once who comes late.
+    #[test]
+    fn bodies_are_streams_of_their_own() {
+        let stage = "name = \"two\"\n[[body]]\nname = \"anna\"\n[[body]]\nname = \"bert\"\n";
+        let limits = Limits { latest_messages: 1, ..Limits::default() };
+        let mut distributor = distributor(&limits);
+        distributor.names = Arc::new(Names::new(&Stage::parse(stage).unwrap()));
+        let body = |distributor: &mut Distributor, index, t_us: i64| {
+            let t_valid = Timestamp::from_nanos(t_us * 1000);
+            let body = Body {
+                index,
+                t_valid,
+                heading: Heading::Field,
+                heading_sigma_rad: None,
+                position_source: PositionSource::Origin,
+                position_sigma_m: None,
+                contacts: None,
+                segments: Vec::new(),
+                angles_rad: [None; ANGLES],
+                spread: AngleSpread::default(),
+            };
+            publish(distributor, Item::Body(Box::new(body)));
+        };
+        let names = |outbox: &Outbox| -> Vec<(String, i64)> {
+            let said = received(outbox).into_iter().filter(|message| message["type"] == "body");
+            let t_us = |t_s: &serde_json::Value| (t_s.as_f64().unwrap() * 1e6).round() as i64;
+            said.map(|said| (said["name"].as_str().unwrap().to_owned(), t_us(&said["t_s"]))).collect()
+        };
+        let outbox = connect(&mut distributor, 1, &limits);
+        let feed = Feed::Subscribe {
+            topics: vec![Topic::Body],
+            max_rate_hz: Some(10.0),
+            sensors: None,
+            fields: None,
+            drop: Some(DropPolicy::Latest),
+        };
+        distributor.handle(Command::Feed { client: 1, id: RequestId::Number(1), feed });
+        // The second one's sensors are later by 5 ms, the first one's newest sample of a frame older.
+        for n in 0..20 {
+            body(&mut distributor, 1, n * 10_000);
+            body(&mut distributor, 0, n * 10_000 - 5_000);
+        }
+        let expected = [("bert".to_owned(), 100_000), ("anna".to_owned(), 95_000)];
+        assert_eq!(names(&outbox), expected, "one of each waits, at its own time");
+        let late = connect(&mut distributor, 2, &limits);
+        distributor.handle(Command::Feed { client: 2, id: RequestId::Number(1), feed: to(Topic::Body) });
+        assert_eq!(names(&late), [("anna".to_owned(), 185_000), ("bert".to_owned(), 190_000)]);
     }
 
     #[test]
