@@ -153,6 +153,8 @@ export type Call = {
   id: RequestId;
   type: "exercise.demonstration";
 } | {
+  /** The body whose joints are looked at, by name; absent: the one that is called as the subject, or else the first one. */
+  body?: string | null;
   /** Only these channels; absent: those that do the same in every repetition. */
   channels?: string[] | null;
   /** The reply carries it. */
@@ -165,10 +167,12 @@ export type Call = {
   repetitions: number;
   /** Only these sensors, by name; absent: all. */
   sensors?: string[] | null;
-  /** Who moves; absent: `default`. */
+  /** Who moves; absent: the name of the body, or `default`. */
   subject?: string | null;
   type: "exercise.teach";
 } | {
+  /** The body whose joints are counted, by name; absent: the one that is called as the subject, or else the first one. */
+  body?: string | null;
   /** Their names; none ends the counting. */
   exercises: string[];
   /** The reply carries it. */
@@ -181,7 +185,7 @@ export type Call = {
   sensors?: Record<string, string> | null;
   /** Sets of each exercise; absent: no end. */
   sets?: number | null;
-  /** Who moves; absent: `default`. */
+  /** Who moves; absent: the name of the body, or `default`. */
   subject?: string | null;
   type: "exercise.select";
 } | {
@@ -217,12 +221,16 @@ export type Call = {
   look_ahead?: number | null;
   type: "segments.train";
 } | {
+  /** The person, by the name of the body; absent: the only one. */
+  body?: string | null;
   /** How much is asked for; absent: `full`. */
   how?: Thoroughness | null;
   /** The reply carries it. */
   id: RequestId;
   type: "body.calibrate";
 } | {
+  /** The person, by the name of the body; absent: the one who wears the IMU, or the only one. */
+  body?: string | null;
   /** How far to the left of the room's x the person looks, degrees, -360 to 360; absent: 0. */
   heading_deg?: number | null;
   /** The reply carries it. */
@@ -566,6 +574,8 @@ export type ExerciseProgress = {
 
 /** Exercises of a subject, and how far it is. */
 export type ExerciseState = {
+  /** The body whose joints are counted, by name; null on a stage without bodies. */
+  body: string | null;
   /** The exercises that are counted. */
   exercises: ExerciseProgress[];
   /** Repetitions of a set; null: one set without end. */
@@ -724,6 +734,8 @@ export type FigureMessage = {
   heading_sigma_deg: number | null;
   /** The joints between them. */
   joints: JointEntry[];
+  /** Which body it is, by its name in the stage file. */
+  name: string;
   /** Standard deviation of the position along each level axis, m: by trackers, or from where they were heard last, or where it began, by the feet; null where nobody knows how far it has gone. */
   position_sigma_m: number | null;
   /** Where the position comes from. */
@@ -732,7 +744,7 @@ export type FigureMessage = {
   segments: SegmentEntry[];
   /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
   seq: number;
-  /** Capture time of the newest sample in it, s; rises strictly. */
+  /** Capture time of the newest sample in it, s; rises strictly from one message of this body to the next. */
   t_s: number;
 };
 
@@ -797,9 +809,11 @@ export type HeadingSource = "unknown" | "field" | "held";
 
 /** Who speaks, and what there is. */
 export type Hello = {
+  /** The bodies that wear sensors, in the stage's order. */
+  bodies: HelloBody[];
   /** The stage's epoch: UTC in RFC 3339 with nanoseconds. */
   epoch_utc: string;
-  /** Height of the person who wears the sensors, m: gives the lengths of the segments; null where it is not known. */
+  /** Its height, m: gives the lengths of the segments; null where it is not known. */
   height_m: number | null;
   /** Number of the newest event, 0 before the first: what a client that starts now has not missed. */
   last_event_id: number;
@@ -807,7 +821,7 @@ export type Hello = {
   role: Role;
   /** The stage's sensors, in the order of the `sensors` message. */
   sensors: HelloSensor[];
-  /** The body's skeleton; null on a stage without a body. */
+  /** The first body's skeleton; null on a stage without a body. */
   skeleton: Skeleton | null;
   /** Name of the stage. */
   stage: string;
@@ -817,6 +831,18 @@ export type Hello = {
   transmitter: Pose;
   /** Version of the daemon. */
   version: string;
+};
+
+/** Who wears sensors. */
+export type HelloBody = {
+  /** Colour that it is to be drawn in, `#rrggbb`. */
+  color: string;
+  /** Its height, m: gives the lengths of its segments; null where it is not known. */
+  height_m: number | null;
+  /** Its name. */
+  name: string;
+  /** Its skeleton. */
+  skeleton: Skeleton;
 };
 
 /** A sensor by name. */
@@ -1039,10 +1065,14 @@ export type Model = {
   /** Number of the map on its stage, from 1; 0 is none. */
   version: number;
 } | {
+  /** The body, by name; absent: the only one. */
+  body?: string | null;
   kind: "mounting";
   /** One per sensor on the body. */
   sensors: MountedSensor[];
 } | {
+  /** The body, by name; absent: the only one. */
+  body?: string | null;
   /** One entry per segment of the stage file. */
   calibration: ChainCalibration;
   kind: "chain";
@@ -1070,6 +1100,8 @@ export type Model = {
 
 /** What every data message starts with, and its body. */
 export type MotionSegmentMessage = {
+  /** Whose motion it is, by the name of the body; null on a stage without one. */
+  body: string | null;
   /** The network's probability of the label at the segment's first frame, 0 to 1; 0 of a withdrawn one. */
   confidence: number;
   /** How long after its beginning a segment is confirmed at the latest, s. */
@@ -1082,7 +1114,7 @@ export type MotionSegmentMessage = {
   event_id: number;
   /** What it shows. */
   label: string;
-  /** Number of the segment, from 1: all events of one segment carry it. It ends where the next confirmed one begins. */
+  /** Number of the segment, from 1, body by body: all events of one segment carry it. It ends where the next confirmed one of the body begins. */
   segment: number;
   /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
   seq: number;

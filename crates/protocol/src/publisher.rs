@@ -430,15 +430,16 @@ mod tests {
 
     #[test]
     fn numbers_that_a_version_with_fewer_topics_wrote_go_on_and_more_topics_are_refused() {
-        let read = |topics: usize| {
-            let times: Vec<Option<i64>> = (0..topics as i64).map(Some).collect();
+        let read = |streams: usize, topics: usize| {
+            let times: Vec<Option<i64>> = (0..streams as i64).map(Some).collect();
             let seq: Vec<u64> = (0..topics as u64).collect();
             let written = rmp_serde::to_vec(&((7_u64, times), seq)).unwrap();
             rmp_serde::from_slice::<PublisherState>(&written)
         };
-        let state = read(10).unwrap();
+        let state = read(10, 10).unwrap();
         assert_eq!((state.seq[9], state.seq[10]), (9, 0));
         assert_eq!((state.counters.last_t_us[9], state.counters.last_t_us[10]), (Some(9), None));
-        assert!(read(STREAMS).is_ok() && read(STREAMS + 1).is_err());
+        assert!(read(STREAMS, Topic::COUNT).is_ok());
+        assert!(read(STREAMS + 1, Topic::COUNT).is_err() && read(STREAMS, Topic::COUNT + 1).is_err());
     }
 }

@@ -99,11 +99,11 @@ fn strapped(folder: &Path, activity: &str, mounted: &[(&str, &str)]) -> std::pat
 }
 
 /// The button that begins a calibration of the body, and what it prompts.
-const CALIBRATE: [&str; 2] = ["calibrate", "prompt"];
+pub(super) const CALIBRATE: [&str; 2] = ["calibrate", "prompt"];
 
 /// Begins what guides somebody, sees one of its steps, and waits for its end. Asked to begin again, as happens where a busy
 /// machine's records have gaps, somebody does.
-async fn guided(browser: &mut Browser, [button, prompt]: [&str; 2], step: &str, end: &str) {
+pub(super) async fn guided(browser: &mut Browser, [button, prompt]: [&str; 2], step: &str, end: &str) {
     for _ in 0..5 {
         browser.click(button).await;
         if carried_out(browser, [button, prompt], step, end).await {

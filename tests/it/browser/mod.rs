@@ -4,6 +4,7 @@
 //! picture in `docs/pictures/`.
 
 pub(crate) mod calibration;
+mod people;
 mod report;
 mod trainer;
 

@@ -71,6 +71,18 @@ struct Counted {
 }
 
 impl Counted {
+    /// Who is counted in the joints of a body; `explicit` where a client asked for it.
+    fn subject(
+        body: Option<&Self>,
+        name: &str,
+        counter: Option<Counter>,
+        plan: Plan,
+        explicit: bool,
+    ) -> Subject {
+        let (body, prefix) = body.map_or((None, ""), |body| (Some(&*body.name), &*body.prefix));
+        Subject::new(Name::from(name), body, prefix, counter, plan, explicit)
+    }
+
     fn all(stage: &Stage) -> Vec<Self> {
         let angles = |layout: Option<BodyLayout>| layout.iter().flat_map(BodyLayout::columns).collect();
         let of = |((index, body), layout): ((BodyIndex, &posed_stage::Body), _)| Self {
@@ -180,7 +192,8 @@ impl ExerciseStage {
                 Err(_) => break None,
             }
         };
-        self.select(subject, counter, Plan::default(), body.as_ref(), false, estimate, emit);
+        let new = Counted::subject(body.as_ref(), subject, counter, Plan::default(), false);
+        self.select(new, estimate, emit);
     }
 
     /// Whether a request can be carried out.
@@ -241,7 +254,8 @@ impl ExerciseStage {
                 };
                 let exercises = self.affordable(subject, exercises, sensors, body.as_ref()).ok();
                 let counter = exercises.and_then(|exercises| Counter::new(exercises, &self.columns).ok());
-                self.select(subject, counter, *plan, body.as_ref(), true, estimate, emit);
+                let new = Counted::subject(body.as_ref(), subject, counter, *plan, true);
+                self.select(new, estimate, emit);
             }
             Request::ExerciseReset { subject } => {
                 if let Some(known) = self.subjects.iter_mut().find(|known| known.name() == subject) {
@@ -323,20 +337,9 @@ impl ExerciseStage {
         Ok(exercises)
     }
 
-    fn select(
-        &mut self,
-        subject: &str,
-        counter: Option<Counter>,
-        plan: Plan,
-        body: Option<&Counted>,
-        explicit: bool,
-        estimate: &Estimate,
-        emit: &mut impl FnMut(&Outcome),
-    ) {
-        let (name, prefix) = body.map_or((None, ""), |body| (Some(&*body.name), &*body.prefix));
-        let new = Subject::new(Name::from(subject), name, prefix, counter, plan, explicit);
+    fn select(&mut self, new: Subject, estimate: &Estimate, emit: &mut impl FnMut(&Outcome)) {
         new.say_state(estimate.t_valid, emit);
-        match self.subjects.iter_mut().find(|known| known.name() == subject) {
+        match self.subjects.iter_mut().find(|known| known.name() == new.name()) {
             Some(known) => *known = new,
             None => self.subjects.push(new),
         }

@@ -107,7 +107,7 @@ fn a_t_pose_has_no_rotation_and_hanging_arms_are_a_quarter_down() {
     assert_eq!(rest[28..38], *b"\0\0\0\x06Pelvis");
     assert!((number(rest, 46) - 0.53 * 1.8).abs() < 1e-6);
     assert_eq!(count(rest, rest.len() - 4), 0);
-    assert!(of_type(&all, "12").ends_with(b"name:posed\nxmid:3\ncolor:1e88e5\n"));
+    assert!(of_type(&all, "12").ends_with(b"name:posed\nxmid:3\ncolor:6f94b8\n"));
     assert!(of_type(&all, "25").ends_with(b"\0\0\0\x0c00:00:01.500"));
 
     // N-pose: the arms hang, and all joints' angles are zero. Descriptions come once a second.
