@@ -1,5 +1,6 @@
 //! How well a simulated body is solved, and what it costs: the tables of `docs/body.md`. `cargo bench --bench body`, with a case or an activity for its rows
 
+mod deceit;
 mod travel;
 
 use nalgebra::{UnitQuaternion, Vector3};
@@ -322,6 +323,9 @@ fn main() {
     }
     if only.as_ref().is_none_or(|only| "travel".contains(only.as_str())) {
         travel::table();
+    }
+    if only.as_ref().is_none_or(|only| "deceit".contains(only.as_str())) {
+        deceit::table();
     }
     if only.as_ref().is_none_or(|only| "speed".contains(only.as_str())) {
         speed();

@@ -158,16 +158,18 @@ pub(super) fn check_exercise(stage: &Stage, exercise: &Exercise) -> Result<(), M
     let columns = signals::columns_of(stage);
     let lacks = |channel| ModelError::Lacks { exercise: exercise.name.clone(), channel };
     // Joints may be those of any body that has them.
-    let own = |body: usize| -> Vec<String> {
-        let prefix = signals::prefix_of(stage, body as BodyIndex);
+    let of_body = |body: BodyIndex| -> Vec<String> {
+        let prefix = signals::prefix_of(stage, body);
         columns.iter().map(|column| column.strip_prefix(&prefix).unwrap_or(column).to_owned()).collect()
     };
-    let mut checked = (0..stage.bodies.len().max(1)).map(|body| columns_of(&exercise.channels, &own(body)));
-    let first = checked.next().unwrap_or_else(|| columns_of(&exercise.channels, &columns));
-    if first.is_err() && checked.any(|checked| checked.is_ok()) {
-        return Ok(());
+    let mut missing = None;
+    for body in 0..stage.bodies.len().max(1) as BodyIndex {
+        match columns_of(&exercise.channels, &of_body(body)) {
+            Ok(_) => return Ok(()),
+            Err(channel) => missing = missing.or(Some(channel)),
+        }
     }
-    first.map(drop).map_err(lacks)
+    missing.map_or(Ok(()), |channel| Err(lacks(channel)))
 }
 
 fn read_exercise(path: &Path) -> Result<Exercise, ModelError> {

@@ -56,6 +56,8 @@ pub enum Mistake {
     BentElbows,
     /// The trunk is bent by 30 degrees where the arms hang.
     Stoops,
+    /// The person turns round while the arms go up, and back while they go down.
+    TurnsRound,
 }
 
 /// A part of a workout.
@@ -402,6 +404,7 @@ impl Mistake {
                 Mistake::BentElbows => p.elbow[side][0] += share * 1.05 * hangs,
                 // Once for each side.
                 Mistake::Stoops => p.spine[0] += share * 0.26 * hangs,
+                Mistake::TurnsRound => p.pelvis[0] += share * std::f64::consts::FRAC_PI_2 * (1.0 - hangs),
             }
         }
     }

@@ -9,7 +9,7 @@ use super::calibration::{CALIBRATE, guided};
 use super::{LIVE, done};
 use crate::chromium::{self, Browser};
 use crate::cli::posed;
-use crate::daemon::process::{Posed, ok, record_start, refused, replays, until};
+use crate::daemon::process::{Posed, ok, record_start, refused, replays_alike, until};
 
 /// Two who hold the poses of a calibration in turn, with four IMUs each on one chain, and nobody knows how they sit.
 fn two_posing(folder: &Path) -> PathBuf {
@@ -95,5 +95,5 @@ async fn one_of_two_people_is_chosen_calibrated_and_exported() {
     let (_, sentence) = export(&["--body", "anna"]);
     assert!(sentence.contains("holds no such body"), "{sentence}");
     assert!(export(&["--body", "bert"]).0);
-    replays(&take);
+    assert!(replays_alike(&take) > 30);
 }

@@ -84,7 +84,7 @@ async fn a_stage_without_a_body_has_none_to_calibrate() {
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
     let mut client = posed.client().await;
     let (code, sentence) = refused(&mut client, json!({"type": "body.calibrate", "id": 1})).await;
-    assert!(code == "no_body" && sentence.contains("no human [body]"), "{code}: {sentence}");
+    assert!(code == "no_body" && sentence.contains("no human [[body]]"), "{code}: {sentence}");
     // Nor an IMU to align the stage by; three surveyed points would do.
     let (code, sentence) = refused(&mut client, json!({"type": "stage.align", "id": 2})).await;
     assert!(code == "bad_request" && sentence.contains("three surveyed points"), "{code}: {sentence}");

@@ -108,7 +108,8 @@ impl Session {
         });
         let guide = Guide::new(imus.map(|imu| imu.is_some()), self.magnetic, self.how)
             .with_trackers(Trackers::new(self.skeleton, offsets_m));
-        let mut guided = Body { guide, reported: None };
+        let names = imus.map(|imu| imu.map(|imu| self.name(imu).to_owned()));
+        let mut guided = Body { guide, names, reported: None };
         let source = BodySource::new(imus, self.trackers, self.magnetic);
         guided::run(&mut guided, job, &self.inbox, source)?;
         self.solve(job, imus, &guided.guide)
@@ -201,10 +202,12 @@ impl Session {
     }
 }
 
-/// What is done, and the step that was reported last, with the objections by then.
+/// What is done, and the step that was reported last, with the objections by then and who was silent.
 struct Body {
     guide: Guide,
-    reported: Option<(usize, usize)>,
+    /// Names of the IMUs, by the segments that they were taken to sit on.
+    names: [Option<String>; SEGMENTS],
+    reported: Option<(usize, usize, String)>,
 }
 
 impl Guided for Body {
@@ -220,10 +223,17 @@ impl Guided for Body {
     fn report(&mut self, job: &Job, prompt: &str) {
         let (done, steps) = self.guide.progress();
         let (objections, objection) = self.guide.objection();
-        let now = (done, objections);
-        if self.reported.replace(now) != Some(now) {
+        let name = |segment: BodySegment| self.names[segment.index()].as_deref().unwrap_or(segment.name());
+        let silent = self.guide.silent().map(name).collect::<Vec<_>>().join(", ");
+        let now = Some((done, objections, silent));
+        if self.reported != now {
             let again = objection.map_or_else(String::new, |objection| format!("{objection}. Once more: "));
-            let message = format!("{} of {steps}: {again}{prompt}", done + 1);
+            let silent = match now.as_ref() {
+                Some((.., silent)) if !silent.is_empty() => format!("{silent}: nothing comes; see to it. "),
+                _ => String::new(),
+            };
+            let message = format!("{} of {steps}: {silent}{again}{prompt}", done + 1);
+            self.reported = now;
             job.progress(Some(done as f64 / steps as f64), Some(message));
         }
     }

@@ -7,6 +7,10 @@
 //! Where it is to be found which sensor sits where, samples stand under the segments that sensors were taken to sit on: then any
 //! sensor may show a movement, and as many as there are on the arms a T-pose.
 //!
+//! A step waits for sensors that are silent ([`Guide::silent`]): who poses should not hear at the end that one was never heard. Where it is known who sits
+//! where, and a movement's neighbour or the same segment of the other side moves in its place, that is an objection at once: the person may
+//! have moved the wrong limb, or two sensors are swapped, and would repeat it for ever.
+//!
 //! What contradicts that a step was done as asked ([`Contradiction`], [`super::places::Misplaced`]) is an objection: the movement is asked for
 //! again, and from the second time on, or where it was a pose, all of it from the first pose on, since either of two poses may
 //! have been the wrong one. Whoever begins with raised arms and lowers them has held the first pose second.
@@ -34,6 +38,10 @@ const REST_S: f64 = 1.0;
 const MOVEMENT_S: f64 = 1.5;
 /// What belongs to a movement before it was noticed, s.
 const LEAD_S: f64 = 0.4;
+/// A sensor that was not heard for so long is silent, s.
+const SILENT_S: f64 = 1.0;
+/// Another segment has moved in the place of the one that was asked for where it has turned so far, rad.
+const INSTEAD_RAD: f64 = 1.0;
 /// Arms that are meant to be held sideways have turned so far against gravity, rad; whether it is enough is judged then.
 const RAISED_RAD: f64 = 0.5;
 /// Arms that are meant to hang again are within this of how they hung, rad; whether they do is judged then.
@@ -80,6 +88,38 @@ pub struct Guide {
     still_since_s: Option<f64>,
     moving_since_s: Option<f64>,
     rest_since_s: Option<f64>,
+    /// When each sensor was heard last, s.
+    heard_s: [Option<f64>; SEGMENTS],
+    /// What each sensor did since the step began.
+    turns: [Turn; SEGMENTS],
+}
+
+/// A movement of one sensor.
+#[derive(Clone, Copy, Debug, Default)]
+struct Turn {
+    /// How far it turned to and fro, rad.
+    turned_rad: f64,
+    began_s: Option<f64>,
+    rests_since_s: Option<f64>,
+}
+
+impl Turn {
+    fn push(&mut self, t_s: f64, dt_s: f64, angular_speed_rad_s: f64) {
+        if angular_speed_rad_s > MOVES_RAD_S {
+            self.began_s.get_or_insert(t_s);
+        }
+        if self.began_s.is_some() {
+            self.turned_rad += angular_speed_rad_s * dt_s;
+        }
+        let rests = angular_speed_rad_s < STILL_RAD_S;
+        self.rests_since_s = if rests { self.rests_since_s.or(Some(t_s)) } else { None };
+    }
+
+    /// Whether a whole movement lies behind it.
+    fn is_whole(&self, t_s: f64) -> bool {
+        let (Some(began_s), Some(rest_s)) = (self.began_s, self.rests_since_s) else { return false };
+        rest_s - began_s >= MOVEMENT_S && t_s - rest_s >= REST_S && self.turned_rad > INSTEAD_RAD
+    }
 }
 
 impl Guide {
@@ -107,6 +147,8 @@ impl Guide {
             still_since_s: None,
             moving_since_s: None,
             rest_since_s: None,
+            heard_s: [None; SEGMENTS],
+            turns: [Turn::default(); SEGMENTS],
         }
     }
 
@@ -134,15 +176,35 @@ impl Guide {
         let gain = dt_s / (SMOOTH_S + dt_s);
         for (index, sample) in samples.iter().enumerate() {
             let Some(sample) = sample.filter(usable) else { continue };
+            self.heard_s[index] = Some(t_s);
             self.angular_speeds_rad_s[index] +=
                 gain * (sample.gyro_rad_s.norm() - self.angular_speeds_rad_s[index]);
             self.specific_forces_m_s2[index] += (sample.accel_m_s2 - self.specific_forces_m_s2[index]) * gain;
         }
-        if matches!(kind, BlockKind::NPose | BlockKind::TPose) {
+        for (turn, angular_speed_rad_s) in self.turns.iter_mut().zip(&self.angular_speeds_rad_s) {
+            turn.push(t_s, dt_s, *angular_speed_rad_s);
+        }
+        if self.silent().next().is_some() {
+            // What is not heard can't have been done as asked.
+            (self.still_since_s, self.moving_since_s, self.rest_since_s) = (None, None, None);
+        } else if matches!(kind, BlockKind::NPose | BlockKind::TPose) {
             self.pose(kind, t_s)
         } else {
             self.movement(kind, t_s)
         }
+    }
+
+    /// The sensors that are not heard any more, or never were, by the segments that they were taken to sit on: nothing goes on before they are.
+    pub fn silent(&self) -> impl Iterator<Item = BodySegment> + '_ {
+        let span = self.recording.first().zip(self.recording.last());
+        let is_silent = move |index: usize| {
+            span.is_some_and(|((first_s, _), (now_s, _))| {
+                now_s - self.heard_s[index].unwrap_or(*first_s) > SILENT_S
+            })
+        };
+        BodySegment::ALL
+            .into_iter()
+            .filter(move |segment| self.present[segment.index()] && is_silent(segment.index()))
     }
 
     /// How many steps (poses and movements) are done, of how many.
@@ -207,11 +269,34 @@ impl Guide {
             } else {
                 self.moving_since_s = None;
             }
+        } else if self.moving_since_s.is_none()
+            && let Some(instead) = self.moved_instead(kind, t_s)
+        {
+            self.objection = Some(instead.to_string());
+            self.objections += 1;
+            self.turns = [Turn::default(); SEGMENTS];
         }
+    }
+
+    /// What moved in the place of the segment that was asked for: that of the other side, or one beside it.
+    fn moved_instead(&self, kind: BlockKind, t_s: f64) -> Option<Contradiction> {
+        let BlockKind::Move(asked, _) = kind else { return None };
+        if !self.assigned || !self.present[asked.index()] {
+            return None;
+        }
+        let whole = |other: &BodySegment| {
+            *other != asked && self.present[other.index()] && self.turns[other.index()].is_whole(t_s)
+        };
+        // What hangs on it moves with it, whoever wears its sensor: asked last.
+        let below = BodySegment::ALL.into_iter().find(|other| other.parent() == Some(asked));
+        let mut beside = std::iter::once(asked.mirrored()).chain(asked.parent()).chain(below);
+        let moved = beside.find(whole)?;
+        Some(Contradiction::Instead { movement: kind.name(), asked: asked.name(), moved: moved.name() })
     }
 
     fn done(&mut self, block: Block) {
         (self.still_since_s, self.moving_since_s, self.rest_since_s) = (None, None, None);
+        self.turns = [Turn::default(); SEGMENTS];
         self.blocks.push(block);
         let is_pose = matches!(block.kind, BlockKind::NPose | BlockKind::TPose);
         let misplaced = self.trackers.as_mut().filter(|_| is_pose).and_then(|at| at.objection_to(block.kind));

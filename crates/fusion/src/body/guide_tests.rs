@@ -146,3 +146,60 @@ fn a_unit_that_must_be_calibrated_itself_is_named_in_the_end_and_nobody_poses_in
     let found = calibrate(recording, blocks, &Skeleton::from_height(1.8), &[None; SEGMENTS]);
     assert!(found.unwrap_err().to_string().contains("posed imu calibrate"));
 }
+
+/// Who bends the right knee and wears the sensors of the shanks the wrong way round hears at once that the left one moved, and is not asked for ever.
+#[test]
+fn what_moves_in_the_place_of_what_was_asked_for_is_named() {
+    let mut wearer = Wearer::new(WearerSpec {
+        script: Script { activity: Activity::Bends, calibration: false, facing: 0.0, mistake: None },
+        build: Build::of_height(1.8),
+        errors: SensorErrors::calibrated(),
+        magnetometer: true,
+        disturbances: Vec::new(),
+        rate_hz: 50.0,
+        clumsiness_rad: 0.02,
+        seed: 3,
+    });
+    let mut guide = Guide::new([true; SEGMENTS], true, Thoroughness::Full);
+    for (t_s, mut samples) in record(&mut wearer, 90.0).0 {
+        samples.swap(BodySegment::ShankR.index(), BodySegment::ShankL.index());
+        guide.push(t_s, &samples);
+        if let (1.., objection) = guide.objection() {
+            let expected = "shank_l moved in knee_flexion_r, and shank_r did not";
+            assert!(objection.is_some_and(|objection| objection.contains(expected)), "{objection:?}");
+            return;
+        }
+    }
+    panic!("nothing was said");
+}
+
+/// A sensor that is off is named at once, and nobody poses for it in vain; once it is on, the guide goes on.
+#[test]
+fn nothing_goes_on_while_a_sensor_is_silent() {
+    let mut wearer = Wearer::new(WearerSpec {
+        script: Script { activity: Activity::Poses, calibration: false, facing: 0.0, mistake: None },
+        build: Build::of_height(1.8),
+        errors: SensorErrors::calibrated(),
+        magnetometer: true,
+        disturbances: Vec::new(),
+        rate_hz: 50.0,
+        clumsiness_rad: 0.0,
+        seed: 3,
+    });
+    let mut guide = Guide::new([true; SEGMENTS], true, Thoroughness::Quick);
+    for (t_s, mut samples) in record(&mut wearer, 60.0).0 {
+        if t_s < 30.0 {
+            samples[BodySegment::ForearmL.index()] = None;
+        }
+        guide.push(t_s, &samples);
+        let silent: Vec<_> = guide.silent().collect();
+        match t_s {
+            1.5..30.0 => {
+                assert_eq!((silent.as_slice(), guide.progress().0), (&[BodySegment::ForearmL][..], 0));
+            }
+            30.1.. => assert_eq!(silent, []),
+            _ => {}
+        }
+    }
+    assert_eq!((guide.prompt(), guide.objection().0), (None, 0));
+}

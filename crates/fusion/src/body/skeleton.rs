@@ -126,6 +126,25 @@ impl BodySegment {
         }
     }
 
+    /// The same on the other side; itself in the middle.
+    pub fn mirrored(self) -> Self {
+        match self {
+            Self::Torso | Self::Pelvis | Self::Head => self,
+            Self::UpperArmR => Self::UpperArmL,
+            Self::UpperArmL => Self::UpperArmR,
+            Self::ForearmR => Self::ForearmL,
+            Self::ForearmL => Self::ForearmR,
+            Self::HandR => Self::HandL,
+            Self::HandL => Self::HandR,
+            Self::ThighR => Self::ThighL,
+            Self::ThighL => Self::ThighR,
+            Self::ShankR => Self::ShankL,
+            Self::ShankL => Self::ShankR,
+            Self::FootR => Self::FootL,
+            Self::FootL => Self::FootR,
+        }
+    }
+
     /// 1 on the right, -1 on the left, 0 in the middle.
     pub fn side(self) -> f64 {
         match self {

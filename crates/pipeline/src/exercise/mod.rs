@@ -113,17 +113,27 @@ impl ExerciseStage {
         if !known && self.library.len() >= LOADED {
             return Err(InputError::Loaded(LOADED));
         }
-        // Whoever has its channels can be counted in it.
-        let mut on = (0..self.bodies.len().max(1)).map(|body| {
-            let mut one = exercise.clone();
-            self.assign(&mut one, self.bodies.get(body));
-            Counter::check(std::slice::from_ref(&one), &self.columns).map(drop)
-        });
-        let first = on.next().unwrap_or(Ok(()));
-        if first.is_err() && on.any(|checked| checked.is_ok()) {
-            return Ok(());
+        // Whoever has its channels can be counted in it; of nobody who has, the first one's lack is said.
+        let mut whose: Vec<Option<&Counted>> = self.bodies.iter().map(Some).collect();
+        if whose.is_empty() {
+            whose.push(None);
         }
-        Ok(first?)
+        let checked = whose.into_iter().map(|body| self.check_channels(exercise, body));
+        let mut lack = None;
+        for result in checked {
+            match result {
+                Ok(()) => return Ok(()),
+                Err(error) => lack = lack.or(Some(error)),
+            }
+        }
+        lack.map_or(Ok(()), Err)
+    }
+
+    /// Whether an exercise can be counted in the joints of this body.
+    fn check_channels(&self, exercise: &Exercise, body: Option<&Counted>) -> Result<(), InputError> {
+        let mut one = exercise.clone();
+        self.assign(&mut one, body);
+        Ok(Counter::check(&[one], &self.columns).map(drop)?)
     }
 
     /// Lets the joints of an exercise be those of this body.
@@ -174,11 +184,7 @@ impl ExerciseStage {
 
     fn loaded_for(&mut self, subject: &str, estimate: &Estimate, emit: &mut impl FnMut(&Outcome)) {
         let Ok(body) = self.counted(subject, None).map(|body| body.cloned()) else { return };
-        let has_channels = |exercise: &&Exercise| {
-            let mut one = (*exercise).clone();
-            self.assign(&mut one, body.as_ref());
-            Counter::check(&[one], &self.columns).is_ok()
-        };
+        let has_channels = |exercise: &&Exercise| self.check_channels(exercise, body.as_ref()).is_ok();
         // Exercises of other frame rates have to be selected alone.
         let mut own = self.library.iter().filter(has_channels).peekable();
         let rate_hz = own.peek().map(|exercise| exercise.rate_hz);

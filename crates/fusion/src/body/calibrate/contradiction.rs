@@ -99,6 +99,19 @@ pub enum Contradiction {
         /// By how much, degrees.
         found_deg: f64,
     },
+    /// Another limb moved than the one that was to.
+    #[error(
+        "{moved} moved in {movement}, and {asked} did not: move what is asked for; where that was moved, the two sensors are swapped, which a \
+         calibration of every limb puts right"
+    )]
+    Instead {
+        /// Which movement.
+        movement: String,
+        /// What was to move.
+        asked: &'static str,
+        /// What did.
+        moved: &'static str,
+    },
     /// A movement's axis is steep where it should be level, or level where it should be upright.
     #[error(
         "the axis of {movement} is {found_deg:.0} degrees steeper in {segment} than in somebody who stands upright: stand as in n_pose, and move nothing else"

@@ -1,0 +1,236 @@
+//! What a guided calibration makes of people who do something else than it asks for: the table of `docs/body.md`.
+//!
+//! Each person begins with what is wrong, and does everything right from the second round on, as people do once they have been told.
+
+use nalgebra::UnitQuaternion;
+use posed_fusion::body::{
+    Assignment, BodySegment, CalibrationError, Guide, Recorded, SEGMENTS, Skeleton, Thoroughness, assign,
+    calibrate,
+};
+use posed_simulator::body::{Activity, Build, Mistake, Script, SensorErrors, Wearer, WearerSpec};
+
+use super::{HEIGHT_M, emit};
+
+const RATE_HZ: f64 = 50.0;
+const SEEDS: u64 = 6;
+/// Nobody goes on for longer, s.
+const LONGEST_S: f64 = 240.0;
+/// A mounting that is wrong by more is wrong: what people who stand as people do leave stays below, degrees.
+const WRONG_DEG: f64 = 15.0;
+/// A grip turns a strap by so much.
+const GRIP_RAD: f64 = 0.6;
+
+/// What is wrong.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Deceit {
+    Nothing,
+    Held(Mistake),
+    /// The arms are raised when it begins.
+    RaisedFirst,
+    /// Sensors that are exchanged, pair by pair.
+    Swapped(&'static [[BodySegment; 2]]),
+    /// Somebody grips a limb after the first pose, and the sensor stays turned on it.
+    Gripped(BodySegment),
+    /// These send nothing for the first half minute.
+    Off(&'static [BodySegment]),
+    /// One that ends after twelve seconds, and comes back after thirty.
+    Dies(BodySegment),
+}
+
+use BodySegment::{
+    FootL, FootR, ForearmL, ForearmR, HandL, HandR, Head, ShankL, ShankR, ThighL, ThighR, UpperArmL,
+    UpperArmR,
+};
+
+const ARMS: &[[BodySegment; 2]] = &[[UpperArmR, UpperArmL], [ForearmR, ForearmL], [HandR, HandL]];
+const FOREARMS: &[[BodySegment; 2]] = &[[ForearmR, ForearmL]];
+const LEGS: &[[BodySegment; 2]] = &[[ThighR, ThighL], [ShankR, ShankL], [FootR, FootL]];
+const SHANKS: &[[BodySegment; 2]] = &[[ShankR, ShankL]];
+const ARM: &[[BodySegment; 2]] = &[[UpperArmR, ForearmR]];
+const LEG: &[[BodySegment; 2]] = &[[ThighR, ShankR]];
+const HALF: &[BodySegment] = &[UpperArmL, ForearmL, HandL, ThighL, ShankL, FootL, Head];
+
+const ROWS: [(&str, Deceit); 18] = [
+    ("nothing is wrong", Deceit::Nothing),
+    ("arms raised forward", Deceit::Held(Mistake::ArmsForward)),
+    ("arms raised half way", Deceit::Held(Mistake::ArmsLow)),
+    ("palms forward", Deceit::Held(Mistake::PalmsForward)),
+    ("elbows bent in one pose", Deceit::Held(Mistake::BentElbows)),
+    ("stoops in one pose", Deceit::Held(Mistake::Stoops)),
+    ("turns round between the poses", Deceit::Held(Mistake::TurnsRound)),
+    ("arms raised at the beginning", Deceit::RaisedFirst),
+    ("arms swapped, right and left", Deceit::Swapped(ARMS)),
+    ("forearms swapped", Deceit::Swapped(FOREARMS)),
+    ("upper arm and forearm swapped", Deceit::Swapped(ARM)),
+    ("legs swapped, right and left", Deceit::Swapped(LEGS)),
+    ("shanks swapped", Deceit::Swapped(SHANKS)),
+    ("thigh and shank swapped", Deceit::Swapped(LEG)),
+    ("somebody's hands: forearm's strap turned", Deceit::Gripped(ForearmR)),
+    ("somebody's hands: shank's strap turned", Deceit::Gripped(ShankR)),
+    ("half of the sensors off", Deceit::Off(HALF)),
+    ("one ends and comes back", Deceit::Dies(ForearmL)),
+];
+
+/// Every `how` with what a person does for it, and whether there is a field.
+const HOWS: [(&str, Thoroughness, Activity, bool); 4] = [
+    ("quick", Thoroughness::Quick, Activity::Poses, true),
+    ("full", Thoroughness::Full, Activity::Bends, true),
+    ("full, no field", Thoroughness::Full, Activity::Bends, false),
+    ("every limb", Thoroughness::Assign, Activity::Movements, true),
+];
+
+/// How it ended.
+#[derive(Clone, Debug, PartialEq)]
+enum Ended {
+    /// It was told, there or in the end, what is wrong; and if something was used, that was right.
+    Noticed,
+    /// Nothing was said, and what is used is right all the same.
+    Right,
+    /// Nothing was said, and what is used is wrong by so much, degrees.
+    Wrong(f64),
+    /// It was told, and in the end something wrong is used all the same, degrees.
+    StillWrong(f64),
+}
+
+fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool, seed: u64) -> Ended {
+    let mistake = if let Deceit::Held(mistake) = deceit { Some(mistake) } else { None };
+    let mut wearer = Wearer::new(WearerSpec {
+        script: Script { activity, calibration: false, facing: 0.6, mistake },
+        build: Build::of_height(HEIGHT_M),
+        errors: SensorErrors::calibrated(),
+        magnetometer,
+        disturbances: Vec::new(),
+        rate_hz: RATE_HZ,
+        clumsiness_rad: 0.03,
+        seed,
+    });
+    if deceit == Deceit::RaisedFirst {
+        // Seven seconds into the round the second pose is held.
+        (0..(7.0 * RATE_HZ) as usize).for_each(|_| _ = wearer.step());
+    }
+    let mut guide = Guide::new([true; SEGMENTS], magnetometer, how);
+    let mut told = false;
+    let mut gripped = false;
+    for step in 0..(LONGEST_S * RATE_HZ) as usize {
+        let t_s = step as f64 / RATE_HZ;
+        let (samples, _) = wearer.step();
+        let mut samples = BodySegment::ALL.map(|segment| {
+            let sample = samples[segment.index()];
+            let off = match deceit {
+                Deceit::Off(segments) => segments.contains(&segment) && t_s < 30.0,
+                Deceit::Dies(dying) => segment == dying && (12.0..30.0).contains(&t_s),
+                _ => false,
+            };
+            (!off).then_some(sample)
+        });
+        match deceit {
+            Deceit::Swapped(pairs) => {
+                pairs.iter().for_each(|[one, other]| samples.swap(one.index(), other.index()));
+            }
+            Deceit::Gripped(segment) => {
+                gripped |= guide.progress().0 >= 1;
+                if let Some(sample) = samples[segment.index()].as_mut().filter(|_| gripped) {
+                    let q =
+                        UnitQuaternion::from_scaled_axis(nalgebra::Vector3::new(0.3, 0.9, 0.3) * GRIP_RAD);
+                    sample.gyro_rad_s = q * sample.gyro_rad_s;
+                    sample.accel_m_s2 = q * sample.accel_m_s2;
+                    sample.mag = sample.mag.map(|mag| q * mag);
+                }
+            }
+            _ => {}
+        }
+        guide.push(t_s, &samples);
+        told |= guide.objection().0 > 0 || guide.silent().next().is_some();
+        if guide.prompt().is_none() {
+            break;
+        }
+    }
+    if guide.prompt().is_some() {
+        // Who is told what is wrong and never does it right; or who is told nothing, and gives up.
+        return if told { Ended::Noticed } else { Ended::Wrong(f64::INFINITY) };
+    }
+    let Ok((mounts, places)) = solved(&guide, how) else { return Ended::Noticed };
+    let worst_deg = BodySegment::ALL.into_iter().fold(0.0, |worst: f64, segment| {
+        // The sensor that counts on this segment now, by the segment that it really sits on.
+        let worn = place_of(deceit, places[segment.index()]);
+        if worn != segment {
+            return 180.0;
+        }
+        let Some(mount) = mounts[segment.index()] else { return 180.0 };
+        let grip = match deceit {
+            Deceit::Gripped(turned) if turned == segment => {
+                UnitQuaternion::from_scaled_axis(nalgebra::Vector3::new(0.3, 0.9, 0.3) * GRIP_RAD)
+            }
+            _ => UnitQuaternion::identity(),
+        };
+        let truth = wearer.mounting(segment.index()).0 * grip.inverse();
+        worst.max(mount.angle_to(&truth).to_degrees())
+    });
+    match (told, worst_deg > WRONG_DEG) {
+        (true, false) => Ended::Noticed,
+        (false, false) => Ended::Right,
+        (true, true) => Ended::StillWrong(worst_deg),
+        (false, true) => Ended::Wrong(worst_deg),
+    }
+}
+
+type Mounts = [Option<UnitQuaternion<f64>>; SEGMENTS];
+
+/// The mountings, and for each segment the one that its sensor was taken for.
+fn solved(guide: &Guide, how: Thoroughness) -> Result<(Mounts, [BodySegment; SEGMENTS]), CalibrationError> {
+    let (recording, blocks) = guide.recorded();
+    let skeleton = Skeleton::from_height(HEIGHT_M);
+    let mut places = BodySegment::ALL;
+    let placed: Vec<Recorded>;
+    let recording = if how == Thoroughness::Assign {
+        let assignment: Assignment = assign(recording, blocks).map_err(|_| CalibrationError::Empty)?;
+        places =
+            assignment.place(&BodySegment::ALL.map(Some)).map(|place| place.unwrap_or(BodySegment::Torso));
+        placed = assignment.placed(recording);
+        &placed
+    } else {
+        recording
+    };
+    let found = calibrate(recording, blocks, &skeleton, &[None; SEGMENTS])?;
+    if !found.warnings.is_empty() {
+        return Err(CalibrationError::Empty);
+    }
+    Ok((found.mounts.map(|mount| mount.map(|mount| mount.q_segment_sensor)), places))
+}
+
+/// The segment that the sensor which was taken to sit on `taken` really sits on.
+fn place_of(deceit: Deceit, taken: BodySegment) -> BodySegment {
+    let Deceit::Swapped(pairs) = deceit else { return taken };
+    let swapped = pairs.iter().find_map(|[one, other]| match taken {
+        _ if taken == *one => Some(*other),
+        _ if taken == *other => Some(*one),
+        _ => None,
+    });
+    swapped.unwrap_or(taken)
+}
+
+/// `cargo bench --bench body deceit`
+pub(super) fn table() {
+    emit("| what is wrong | quick | full | full, no field | every limb |");
+    emit("|---|---|---|---|---|");
+    for (name, deceit) in ROWS {
+        let cells = HOWS.map(|(_, how, activity, magnetometer)| {
+            let ended: Vec<Ended> =
+                (0..SEEDS).map(|seed| run(deceit, how, activity, magnetometer, 40 + seed)).collect();
+            let count = |of: fn(&Ended) -> bool| ended.iter().filter(|ended| of(ended)).count();
+            let noticed = count(|ended| *ended == Ended::Noticed);
+            let right = count(|ended| *ended == Ended::Right);
+            let worst_deg = ended.iter().fold(0.0, |worst: f64, ended| match ended {
+                Ended::Wrong(deg) | Ended::StillWrong(deg) => worst.max(*deg),
+                _ => worst,
+            });
+            let wrong = SEEDS as usize - noticed - right;
+            let words = [(noticed, "noticed"), (right, "right"), (wrong, "wrong")];
+            let words = words.into_iter().filter(|(count, _)| *count > 0);
+            let words: Vec<String> = words.map(|(count, word)| format!("{count} {word}")).collect();
+            let worst = if wrong > 0 { format!(" ({worst_deg:.0})") } else { String::new() };
+            format!("{}{worst}", words.join(", "))
+        });
+        emit(&format!("| {name} | {} |", cells.join(" | ")));
+    }
+}
