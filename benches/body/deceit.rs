@@ -2,7 +2,8 @@
 //!
 //! Each person begins with what is wrong, and does everything right from the second round on, as people do once they have been told.
 
-use nalgebra::UnitQuaternion;
+use nalgebra::{UnitQuaternion, Vector3};
+use posed_fusion::ahrs::ImuSample;
 use posed_fusion::body::{
     Assignment, BodySegment, CalibrationError, Guide, Recorded, SEGMENTS, Skeleton, Thoroughness, assign,
     calibrate,
@@ -121,6 +122,11 @@ fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool
                 Deceit::Dies(dying) => segment == dying && (12.0..30.0).contains(&t_s),
                 _ => false,
             };
+            let sample = ImuSample {
+                gyro_rad_s: sample.gyro_rad_s,
+                accel_m_s2: sample.accel_m_s2,
+                mag: sample.mag_ut,
+            };
             (!off).then_some(sample)
         });
         match deceit {
@@ -130,8 +136,7 @@ fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool
             Deceit::Gripped(segment) => {
                 gripped |= guide.progress().0 >= 1;
                 if let Some(sample) = samples[segment.index()].as_mut().filter(|_| gripped) {
-                    let q =
-                        UnitQuaternion::from_scaled_axis(nalgebra::Vector3::new(0.3, 0.9, 0.3) * GRIP_RAD);
+                    let q = grip();
                     sample.gyro_rad_s = q * sample.gyro_rad_s;
                     sample.accel_m_s2 = q * sample.accel_m_s2;
                     sample.mag = sample.mag.map(|mag| q * mag);
@@ -158,9 +163,7 @@ fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool
         }
         let Some(mount) = mounts[segment.index()] else { return 180.0 };
         let grip = match deceit {
-            Deceit::Gripped(turned) if turned == segment => {
-                UnitQuaternion::from_scaled_axis(nalgebra::Vector3::new(0.3, 0.9, 0.3) * GRIP_RAD)
-            }
+            Deceit::Gripped(turned) if turned == segment => grip(),
             _ => UnitQuaternion::identity(),
         };
         let truth = wearer.mounting(segment.index()).0 * grip.inverse();
@@ -172,6 +175,11 @@ fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool
         (true, true) => Ended::StillWrong(worst_deg),
         (false, true) => Ended::Wrong(worst_deg),
     }
+}
+
+/// How a grip turns a sensor on its segment.
+fn grip() -> UnitQuaternion<f64> {
+    UnitQuaternion::from_scaled_axis(Vector3::new(0.3, 0.9, 0.3) * GRIP_RAD)
 }
 
 type Mounts = [Option<UnitQuaternion<f64>>; SEGMENTS];

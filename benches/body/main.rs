@@ -150,7 +150,7 @@ fn mounts(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<SensorM
             }
             _ => UnitQuaternion::identity(),
         };
-        Some(SensorMount { q_segment_sensor: wrong * mount, offset_m, heading_rad: None })
+        Some(SensorMount::exact(wrong * mount, offset_m))
     }))
 }
 

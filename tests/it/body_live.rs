@@ -269,6 +269,7 @@ fn live_and_offline_say_the_same() {
         q_segment_sensor: mount(segment),
         offset_m: offset_m.into(),
         heading_rad: None,
+        sigma_rad: Vector3::zeros(),
     };
     let all: Vec<_> = simulated.segments.iter().zip(&simulated.scenario.sensors).collect();
     let all = BodySegment::ALL.map(|segment| {

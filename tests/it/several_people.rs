@@ -167,6 +167,7 @@ fn a_mounting_names_the_body_that_it_is_of() {
         segment: None,
         mount_quat_wxyz: [1.0, 0.0, 0.0, 0.0],
         offset_m: [0.0; 3],
+        sigma_deg: None,
     };
     let sensors = |who: &str| BodySegment::ALL.map(|segment| mounted(&format!("{who}-{}", segment.name())));
     let mut push = |body: Option<&str>, who: &str| {

@@ -288,7 +288,7 @@ mod tests {
         let mut wearer = wearer(Activity::Walking);
         let mounts = BodySegment::ALL.map(|segment| {
             let (q_segment_sensor, offset_m) = wearer.mounting(segment.index());
-            Some(SensorMount { q_segment_sensor, offset_m, heading_rad: None })
+            Some(SensorMount::exact(q_segment_sensor, offset_m))
         });
         let (skeleton, params) = (Skeleton::from_height(HEIGHT_M), BodyParams::default());
         let mut euler = EulerBody::new(&skeleton, &mounts, &params);
@@ -317,7 +317,7 @@ mod tests {
     fn a_limb_is_not_shown_before_its_sensors_and_its_trunk_are() {
         let mounts = BodySegment::ALL.map(|_| {
             let (q_segment_sensor, offset_m) = (UnitQuaternion::identity(), Vector3::zeros());
-            Some(SensorMount { q_segment_sensor, offset_m, heading_rad: None })
+            Some(SensorMount::exact(q_segment_sensor, offset_m))
         });
         let mut body = EulerBody::new(&Skeleton::from_height(HEIGHT_M), &mounts, &BodyParams::default());
         let (samples, _) = wearer(Activity::Curls).step();

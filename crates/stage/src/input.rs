@@ -158,6 +158,9 @@ pub struct MountedSensor {
     pub mount_quat_wxyz: [f64; 4],
     /// Where it sits, segment frame, m.
     pub offset_m: [f64; 3],
+    /// How well the rotation is known: standard deviations about the segment's axes, degrees; absent: it is exact.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sigma_deg: Option<[f64; 3]>,
 }
 
 /// What clients ask of the pipeline. `Pipeline::check_request` tells beforehand whether it can be done.
@@ -271,7 +274,9 @@ impl Model {
             }
             Self::Mounting { sensors, .. } => {
                 let good = |sensor: &MountedSensor| {
+                    let is_known = |sigma_deg: f64| (0.0..=180.0).contains(&sigma_deg);
                     posed_geometry::isometry(sensor.offset_m, sensor.mount_quat_wxyz).is_some()
+                        && sensor.sigma_deg.is_none_or(|sigma_deg| sigma_deg.into_iter().all(is_known))
                 };
                 let nowhere = sensors
                     .iter()
@@ -282,7 +287,7 @@ impl Model {
                 }
                 if let Some(bad) = sensors.iter().find(|sensor| !good(sensor)) {
                     return Err(format!(
-                        "sensors: give {:?} numbers up to 1e6 and a quaternion that is not zero",
+                        "sensors: give {:?} numbers up to 1e6, a quaternion that is not zero and standard deviations up to 180",
                         bad.sensor
                     ));
                 }

@@ -301,10 +301,18 @@ fn table(
     for segment in &segments {
         columns.extend(["qw", "qx", "qy", "qz"].map(|part| format!("{}_{part}", segment.name())));
     }
-    columns.extend(angles.iter().map(|angle| format!("{}_deg", ANGLE_NAMES[*angle])));
+    // The published limbs say nothing of it.
+    let is_judged = args.limbs == Limbs::Joints;
+    for angle in &angles {
+        let name = ANGLE_NAMES[*angle];
+        columns.push(format!("{name}_deg"));
+        columns.extend(is_judged.then(|| format!("{name}_sigma_deg")));
+    }
+    columns.extend(is_judged.then(|| "heading_sigma_deg".to_owned()));
     let travels = estimates.iter().any(|(_, estimate)| estimate.travel.is_some());
     if travels {
         columns.extend(["x", "y", "z"].map(|axis| format!("pelvis_{axis}_m")));
+        columns.push("position_sigma_m".to_owned());
         columns.extend(["r", "l"].map(|side| format!("foot_{side}_contact")));
     }
     let mut table = TableWriter::create(&args.output, &columns)?;
@@ -314,10 +322,19 @@ fn table(
             table.vector(estimate.orientations[segment.index()].as_ref().map(orientation_to_wxyz))?;
         }
         for angle in &angles {
-            table.vector(estimate.angles_rad[*angle].map(|angle| [angle.to_degrees()]))?;
+            let value = estimate.angles_rad[*angle];
+            table.vector(value.map(|angle| [angle.to_degrees()]))?;
+            if is_judged {
+                table.vector(value.map(|_| [estimate.spread.sigma_rad[*angle].to_degrees()]))?;
+            }
+        }
+        if is_judged {
+            let is_known = estimate.heading != Heading::Unknown;
+            table.vector(is_known.then_some([estimate.heading_sigma_rad.to_degrees()]))?;
         }
         if travels {
             table.vector(estimate.travel.map(|travel| <[f64; 3]>::from(travel.pelvis_m)))?;
+            table.vector(estimate.travel.map(|travel| [travel.sigma_m]))?;
             table.vector(estimate.travel.and_then(|travel| travel.contacts))?;
         }
         table.end_row()?;

@@ -97,6 +97,7 @@ fn models() -> Vec<Model> {
         segment: Some("torso".into()),
         mount_quat_wxyz: unit,
         offset_m: [0.1, 0.0, 0.0],
+        sigma_deg: Some([2.0, 3.0, 2.0]),
     };
     let chain = leg::leg(1);
     let calibration = {

@@ -196,6 +196,10 @@ impl Session {
                 segment: Some(segment.name().to_owned()),
                 mount_quat_wxyz: orientation_to_wxyz(&mounting.q_segment_sensor),
                 offset_m: mounting.offset_m.into(),
+                // To a thousandth: it is written into the log.
+                sigma_deg: Some(
+                    mounting.sigma_rad.map(|sigma| (sigma.to_degrees() * 1e3).round() / 1e3).into(),
+                ),
             })
         };
         BodySegment::ALL.into_iter().filter_map(mounted).collect()

@@ -37,7 +37,7 @@ mod travel;
 mod travel_tests;
 mod whole;
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
@@ -94,7 +94,7 @@ const LEGS_S: f64 = 1.0;
 /// For so long a heading that is to come from the field is waited for, s.
 const FIELD_S: f64 = 1.0;
 
-/// How one sensor sits on its segment: given, or found by [`calibrate::calibrate`]. The filters take it as exact.
+/// How one sensor sits on its segment: given, or found by [`calibrate::calibrate`]. The filters take it as exact; what is stated of angles knows better.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Plain)]
 pub struct SensorMount {
     /// Turns sensor coordinates into segment coordinates (sensor-to-segment alignment).
@@ -104,6 +104,21 @@ pub struct SensorMount {
     /// Without a magnetometer: what turns the sensor's level frame into the room, rad; absent: as if the first sample
     /// found the body in a posture that looks along the room's x.
     pub heading_rad: Option<f64>,
+    /// How well it is known: standard deviations of rotations about the segment's axes, rad. Zero where it was given.
+    #[serde(default)]
+    pub sigma_rad: Vector3<f64>,
+}
+
+impl SensorMount {
+    /// One that is exact.
+    pub fn exact(q_segment_sensor: UnitQuaternion<f64>, offset_m: Vector3<f64>) -> Self {
+        Self { q_segment_sensor, offset_m, heading_rad: None, sigma_rad: Vector3::zeros() }
+    }
+
+    /// Covariance of its rotation, rad², segment's axes.
+    fn rotation_rad2(&self) -> Matrix3<f64> {
+        Matrix3::from_diagonal(&self.sigma_rad.component_mul(&self.sigma_rad))
+    }
 }
 
 /// What the body's filters assume; the defaults serve all IMUs of MEMS class.
@@ -493,11 +508,11 @@ impl BodyFilter {
 }
 
 impl Sensor {
-    /// What calibrated sensors are systematically wrong by, rms about an axis, rad: the accelerometer's bias tilts, and the magnetometer'
-    /// iron turns the heading, or without a field the gyro's bias for `held_s`.
+    /// What calibrated sensors are systematically wrong by, rms about an axis, rad: the accelerometer's bias tilts, the magnetometer'
+    /// iron turns the heading, or without a field the gyro's bias for `held_s`, and its mounting is as good as the calibration was.
     fn systematic_rad(&self, held_s: f64) -> f64 {
         let [tilt, heading] = self.lasting_rad2(held_s);
-        ((2.0 * tilt + heading) / 3.0).sqrt().min(std::f64::consts::PI)
+        ((2.0 * tilt + heading + self.mount.sigma_rad.norm_squared()) / 3.0).sqrt().min(std::f64::consts::PI)
     }
 
     /// The same as variances of a tilt about each level axis and of the heading, rad².

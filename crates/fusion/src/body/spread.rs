@@ -22,8 +22,8 @@ const LIMB_RAD2: f64 = 2.0 * TRUNK_RAD2;
 /// Determinant of a sequence's axes below which two count as one.
 const SINGULAR: f64 = 1e-4;
 
-/// How uncertain the angles of a body are: the filter's covariance and the systematic errors of calibrated sensors, no soft
-/// tissue. How far it is right: `docs/body.md`; equations: `docs/methods/body.md`.
+/// How uncertain the angles of a body are: the filter's covariance, the systematic errors of calibrated sensors and what a calibration leaves of the mountings
+/// ([`super::SensorMount::sigma_rad`]), no soft tissue. How far it is right: `docs/body.md`; equations: `docs/methods/body.md`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Plain)]
 pub struct AngleSpread {
     /// Standard deviation of each angle, rad, in the order of [`super::ANGLE_NAMES`]; at most pi / sqrt(3), that of an
@@ -110,7 +110,19 @@ impl BodyFilter {
                     Matrix3::identity() * tilt + up * up.transpose() * (heading - tilt)
                 })
                 .sum();
-            spread.set(segment, &(above.inverse() * q), &(rotations_rad2[segment.index()] + lasting));
+            // A mounting is wrong in its segment's own axes, and stays so.
+            let mounted = |of: BodySegment| {
+                self.sensors[of.index()]
+                    .as_ref()
+                    .map_or_else(Matrix3::zeros, |sensor| sensor.mount.rotation_rad2())
+            };
+            let from_above = (q.inverse() * above).to_rotation_matrix();
+            let mounts = mounted(segment) + from_above * mounted(parent) * from_above.transpose();
+            spread.set(
+                segment,
+                &(above.inverse() * q),
+                &(rotations_rad2[segment.index()] + lasting + mounts),
+            );
         }
         spread
     }

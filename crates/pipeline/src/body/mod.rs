@@ -206,8 +206,10 @@ impl BodyStage {
             if let Some(was) = was {
                 let segment = found.map_or(was, BodySegment::index);
                 let offset_m = pose.translation.vector;
-                all[segment] =
-                    Some(SensorMount { q_segment_sensor: pose.rotation, offset_m, heading_rad: None });
+                let sigma_rad = mounted
+                    .sigma_deg
+                    .map_or_else(Vector3::zeros, |sigma_deg| Vector3::from(sigma_deg).map(f64::to_radians));
+                all[segment] = Some(SensorMount { sigma_rad, ..SensorMount::exact(pose.rotation, offset_m) });
                 if imus[segment].replace(sensor).is_some() {
                     return false;
                 }
@@ -455,7 +457,7 @@ pub fn sensor_mount(
 ) -> Option<SensorMount> {
     let q_segment_sensor: UnitQuaternion<f64> = orientation_from_wxyz(sensor.mount_quat_wxyz?)?;
     let offset_m = sensor.offset_m.map_or_else(|| skeleton.usual_sensor_m(segment), Vector3::from);
-    Some(SensorMount { q_segment_sensor, offset_m, heading_rad: None })
+    Some(SensorMount::exact(q_segment_sensor, offset_m))
 }
 
 /// The mountings that a stage file gives.

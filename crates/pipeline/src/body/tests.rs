@@ -161,6 +161,7 @@ fn sensors_that_were_found_on_other_segments_count_there_from_then_on() {
                 segment: Some(segment.name().into()),
                 mount_quat_wxyz: orientation_to_wxyz(&q),
                 offset_m: offset_m.into(),
+                sigma_deg: None,
             }
         };
         BodySegment::ALL.into_iter().map(found).collect()

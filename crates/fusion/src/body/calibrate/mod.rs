@@ -21,8 +21,8 @@ use thiserror::Error;
 pub use self::contradiction::Contradiction;
 pub(super) use self::facing::posture;
 use self::facing::{FACING_DEG, Facing, turned_between};
-use self::session::Session;
 pub(super) use self::session::Tracks;
+use self::session::{Held, Seen, Session};
 use super::SensorMount;
 use super::block::{Block, BlockKind, Movement, Recorded};
 use super::skeleton::{BodySegment, SEGMENTS, Skeleton, upright};
@@ -181,8 +181,10 @@ pub fn calibrate(
             ));
         }
         out.quality_deg[index] = Some(rms_deg);
+        let sigma_rad = self::sigma_rad(&seen, segment, yaw, rms_deg);
         out.mounts[index] = Some(SensorMount {
             q_segment_sensor,
+            sigma_rad,
             offset_m: offsets_m[index].unwrap_or_else(|| skeleton.usual_sensor_m(segment)),
             // The level frame is turned so that the body looks along the room's x where it was calibrated.
             heading_rad: (!magnetic).then_some(-yaw),
@@ -233,6 +235,40 @@ fn alone(recording: &[Recorded], present: &[bool; SEGMENTS]) -> Vec<Block> {
         }
     }
     blocks
+}
+
+/// How well a mounting is known, about the segment's axes, rad: by the directions that its poses and movements show, each as well as people hold and do what
+/// they are asked to. Who stands twice stands wrong in the same way twice, so that a kind of pose counts once; and all of them face as the body was
+/// found to. Where they disagree by more than that, so much worse.
+fn sigma_rad(seen: &Seen, segment: BodySegment, yaw_rad: f64, rms_deg: f64) -> Vector3<f64> {
+    let mut directions: Vec<(Vector3<f64>, f64)> = seen
+        .axes
+        .iter()
+        .filter(|axis| axis.segment == segment)
+        .map(|axis| (axis.in_segment, axis.sigma_deg))
+        .collect();
+    let held = |of: &[(Block, Held)]| of.iter().any(|(_, held)| held[segment.index()].is_some());
+    for raised in [false, true] {
+        if held(if raised { &seen.spread } else { &seen.standing }) {
+            let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
+            let body = heading * upright() * posture(segment, raised);
+            directions.push((body.inverse() * Vector3::z(), POSE_DEG));
+            // The facing is one number, however often it was looked at.
+            if !raised || !held(&seen.standing) {
+                directions.push((body.inverse() * (heading * -Vector3::y()), FACING_DEG));
+            }
+        }
+    }
+    let across = |direction: &Vector3<f64>, sigma_deg: f64| {
+        (Matrix3::identity() - direction * direction.transpose()) / sigma_deg.to_radians().powi(2)
+    };
+    let information: Matrix3<f64> =
+        directions.iter().map(|(direction, sigma)| across(direction, *sigma)).sum();
+    let weight: f64 = directions.iter().map(|(_, sigma_deg)| sigma_deg.powi(-2)).sum();
+    let expected_deg = (directions.len() as f64 / weight).sqrt();
+    let unknown = Matrix3::identity() * std::f64::consts::PI.powi(2);
+    let covariance = information.try_inverse().unwrap_or(unknown);
+    covariance.diagonal().map(|variance| variance.sqrt() * (rms_deg / expected_deg).max(1.0))
 }
 
 /// The rotation from sensor to segment that fits all directions best, and the weighted root mean square of what is left,
