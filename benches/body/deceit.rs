@@ -89,7 +89,8 @@ enum Ended {
     Right,
     /// Nothing was said, and what is used is wrong by so much, degrees.
     Wrong(f64),
-    /// It was told, and in the end something wrong is used all the same, degrees.
+    /// It was told, did another thing than it was asked for then, and in the end something wrong is used all the same, degrees: who is asked for the right knee, and goes
+    /// on with the left one.
     StillWrong(f64),
 }
 
@@ -232,11 +233,12 @@ pub(super) fn table() {
                 Ended::Wrong(deg) | Ended::StillWrong(deg) => worst.max(*deg),
                 _ => worst,
             });
-            let wrong = SEEDS as usize - noticed - right;
-            let words = [(noticed, "noticed"), (right, "right"), (wrong, "wrong")];
+            let told = count(|ended| matches!(ended, Ended::StillWrong(_)));
+            let wrong = SEEDS as usize - noticed - right - told;
+            let words = [(noticed, "noticed"), (right, "right"), (told, "told, used"), (wrong, "wrong")];
             let words = words.into_iter().filter(|(count, _)| *count > 0);
             let words: Vec<String> = words.map(|(count, word)| format!("{count} {word}")).collect();
-            let worst = if wrong > 0 { format!(" ({worst_deg:.0})") } else { String::new() };
+            let worst = if wrong + told > 0 { format!(" ({worst_deg:.0})") } else { String::new() };
             format!("{}{worst}", words.join(", "))
         });
         emit(&format!("| {name} | {} |", cells.join(" | ")));

@@ -1134,6 +1134,8 @@ export type MountedSensor = {
   segment?: string | null;
   /** The sensor, by name. */
   sensor: string;
+  /** How well the rotation is known: standard deviations about the segment's axes, degrees; absent: it is exact. */
+  sigma_deg?: [number, number, number] | null;
 };
 
 /** What is known about an exercise's movement. */

@@ -184,6 +184,9 @@ impl Session {
         match (elsewhere.is_empty(), self.how) {
             (false, _) => format!("; {}: the stage file has another segment", elsewhere.join(", ")),
             (true, Thoroughness::Assign) => "; every sensor sits where the stage file has it".into(),
+            (true, Thoroughness::Quick) => {
+                "; which sensor sits where was taken from the stage file, as two poses do not show it".into()
+            }
             (true, _) => String::new(),
         }
     }

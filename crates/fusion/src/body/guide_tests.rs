@@ -92,7 +92,8 @@ fn a_mistake_is_named_and_does_not_count() {
             (Mistake::Stoops, "leans by"),
         ]
     };
-    for (how, activity, magnetometer) in HOWS {
+    // `cargo bench --bench body deceit` goes through all of them.
+    for (how, activity, magnetometer) in [HOWS[0], HOWS[3], HOWS[4]] {
         for (mistake, words) in mistakes(how) {
             let case = Case {
                 how,

@@ -46,6 +46,10 @@ impl LimbGeometry {
             lower_imu_m: offset_m(lower),
             upper_mount: mount(upper),
             lower_mount: mount(lower),
+            mount_sigma_rad: [upper, lower].map(|segment| {
+                let sigma_rad = mounts[segment.index()].map_or_else(Vector3::zeros, |mount| mount.sigma_rad);
+                (sigma_rad.norm_squared() / 3.0).sqrt()
+            }),
         }
     }
 }
@@ -187,11 +191,6 @@ impl LimbFilter {
             let found = base.q_room_base * relative;
             sensor.magnetometer && !sensor.ahrs.magnetic_disturbance() && own.angle_to(&found) > ASTRAY_RAD
         })
-    }
-
-    /// The gyro's noise that the filter assumes, rad/s.
-    pub(super) fn gyro_noise_rad_s(&self) -> f64 {
-        self.noise.gyro_rad_s
     }
 
     /// Begins as soon as every worn sensor has an orientation.

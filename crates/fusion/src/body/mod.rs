@@ -314,7 +314,7 @@ impl BodyFilter {
                     (&mut self.sensors[segment.index()], sample, report.gyro_nis)
                 {
                     // The filter lets the joints' angular velocities go where the gyros say: what is left, it cannot explain.
-                    let left = nis.sqrt() * filter.gyro_noise_rad_s();
+                    let left = nis.sqrt() * report.gyro_sigma_rad_s;
                     sensor.watch.innovation(sample.gyro_rad_s.norm(), left, report.accel_gated, dt_s);
                 }
             }

@@ -633,14 +633,14 @@ fn angles_of_a_calibrated_body_are_as_sure_as_is_said() {
     let requested: Option<u64> = std::env::var("POSED_SEEDS").ok().map(|seeds| seeds.parse().unwrap());
     let (long, seeds) = (requested.is_some(), requested.unwrap_or(1));
     let activities = [Activity::Reaching, Activity::Walking, Activity::Curls, Activity::Squats];
-    for quick in [false, true] {
-        let activities = if long { &activities[..] } else { &activities[..1] };
+    for quick in [true, false].into_iter().take(if long { 2 } else { 1 }) {
+        let activities = if long { &activities[..] } else { &activities[3..] };
         let known = Known::ByCalibration { clumsiness_rad: 0.03, quick };
-        let nees = joints_nees(known, activities, seeds, if long { 130.0 } else { 98.0 });
+        let nees = joints_nees(known, activities, seeds, if long { 130.0 } else { 104.0 });
         for (joint, nees, count) in nees {
             println!("quick {quick}, {}: {nees:.2} of {count}", joint.name());
-            // Never more certain than it deserves; with less than poses could be wrong by, less.
-            assert!(count > 10.0 && nees < if long { 2.0 } else { 6.0 }, "{quick} {joint:?}: {nees}");
+            // Never more certain than it deserves; how far a few people are off is their luck.
+            assert!(count > 40.0 && nees < if long { 2.0 } else { 4.0 }, "{quick} {joint:?}: {nees}");
         }
     }
 }

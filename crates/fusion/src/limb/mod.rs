@@ -68,7 +68,7 @@ impl Base {
     }
 }
 
-/// Lengths of a limb and where its sensors sit. The filter takes them as exact.
+/// Lengths of a limb and where its sensors sit.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub struct LimbGeometry {
     /// Base's origin to the upper joint, base axes, m.
@@ -83,6 +83,8 @@ pub struct LimbGeometry {
     pub upper_mount: UnitQuaternion<f64>,
     /// Lower sensor to lower segment: sensor-to-segment alignment.
     pub lower_mount: UnitQuaternion<f64>,
+    /// How well both are known, rms about an axis, rad: what a gyro shows across the joints by that is no movement of theirs.
+    pub mount_sigma_rad: [f64; 2],
 }
 
 /// What the filter assumes; standard deviations per axis. Effect of each: `docs/methods/limb.md`.

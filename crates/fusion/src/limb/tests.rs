@@ -21,6 +21,7 @@ fn geometry() -> LimbGeometry {
         upper_to_lower_m: V::new(0.0, -0.3, 0.01),
         lower_imu_m: V::new(0.02, -0.2, 0.03),
         upper_mount: so3::exp(&V::new(0.3, -0.2, 0.5)),
+        mount_sigma_rad: [0.0; 2],
         lower_mount: so3::exp(&V::new(-0.4, 0.6, 0.1)),
     }
 }

@@ -49,6 +49,8 @@ pub struct SensorReport {
     pub broken: bool,
     /// Normalised innovation squared of the gyro (3 degrees of freedom); absent without a sample.
     pub gyro_nis: Option<f64>,
+    /// The standard deviation of the gyro per axis that it was held against, rad/s.
+    pub gyro_sigma_rad_s: f64,
     /// The same of the accelerometer; above 16.3 it is not believed, above 7.8 its noise is raised.
     pub accel_nis: Option<f64>,
     /// The same of the azimuth (1 degree of freedom); absent without a trusted field. Above 6.6 it is not believed, for a
@@ -200,7 +202,10 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         let mag = sample.mag.filter(|m| m.iter().all(|v| v.is_finite()));
         let field = field.zip(mag);
         let n = &self.noise;
-        let gyro_noise = Vector3::repeat(n.gyro_rad_s.powi(2) + base.angular_velocity_sigma_rad_s.powi(2));
+        // A mounting that is wrong turns what the gyro shows, two of three parts of it across.
+        let turned_rad_s = self.geometry.mount_sigma_rad[which as usize] * sample.gyro_rad_s.norm();
+        let own_rad2_s2 = n.gyro_rad_s.powi(2) + turned_rad_s.powi(2) * (2.0 / 3.0);
+        let gyro_noise = Vector3::repeat(own_rad2_s2 + base.angular_velocity_sigma_rad_s.powi(2));
         let mut accel_noise =
             Vector3::repeat(n.accel_m_s2.powi(2) * sensor.adapted() + base.specific_force_sigma_m_s2.powi(2));
         for i in 0..3 {
@@ -224,6 +229,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
             let gyro = sample.gyro_rad_s - prediction.gyro + prediction.d_gyro * from;
             let accel = sample.accel_m_s2 - prediction.accel + prediction.d_accel * from;
 
+            report.gyro_sigma_rad_s = own_rad2_s2.sqrt();
             report.gyro_nis =
                 step(&mut self.p, &mut dx, &prediction.d_gyro, columns, &gyro, &gyro_noise, |_| Some(1.0)).0;
             let (nis, excess) = step(
