@@ -51,6 +51,12 @@ fn each_of_two_people_is_followed_by_their_own_sensors() {
         let neck_m = standing.position_m.unwrap()[2];
         assert!((neck_m - 0.818 * height_m).abs() < 0.03, "{neck_m} of {height_m}");
     }
+    // Nobody stands in somebody else: side by side, where the stage file does not say.
+    let [anna_m, bert_m] = [0, 1].map(|index| {
+        of(&rig, index).last().unwrap().segments[BodySegment::Pelvis.index()].position_m.unwrap()
+    });
+    let apart_m = [0, 1].map(|axis| bert_m[axis] - anna_m[axis]);
+    assert!(apart_m[0].abs() < 0.4 && (apart_m[1] - 1.0).abs() < 0.2, "{anna_m:?} {bert_m:?}");
     let sensors =
         |index| of(&rig, index).last().unwrap().segments.iter().filter_map(|segment| segment.sensor);
     assert!(sensors(0).all(|sensor| sensor < 15) && sensors(1).all(|sensor| sensor >= 15));

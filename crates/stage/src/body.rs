@@ -65,6 +65,10 @@ pub struct Body {
     /// Height of the person, m; gives the segments' lengths where they are not measured.
     #[schemars(range(min = 0.3, max = 2.6))]
     pub height_m: Option<f64>,
+    /// Where the person stands at first, room x and y, m: from there IMUs go by the feet, until trackers say where it is. Absent: above the room's origin, several people
+    /// side by side along y, 1 m apart.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start_m: Option<[f64; 2]>,
     /// Lengths that were measured, each in place of the height's.
     pub lengths_m: Option<Lengths>,
     /// Where the sensors sit on their segments.

@@ -12,6 +12,9 @@ use crate::{BodyIndex, Stage};
 use posed_fusion::body::{ANGLE_NAMES, BodySegment, SEGMENTS, Skeleton, of_joint};
 use posed_fusion::chain::ChainSegment;
 
+/// Distance of several people of whom nobody knows where they are, m.
+const SIDE_BY_SIDE_M: f64 = 1.0;
+
 /// Names and places of one of a stage's bodies: the human skeleton, or a chain of hinges.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BodyLayout {
@@ -88,6 +91,12 @@ pub fn skeleton_of(body: &crate::Body) -> Option<Skeleton> {
         hand_m: measured.hand.unwrap_or(by_height.hand_m),
         toes_m: measured.toes.unwrap_or(by_height.toes_m),
     })
+}
+
+/// Where a body stands at first, room x and y, m: as its `start_m` says, else above the room's origin, several side by side along y.
+pub fn start_of(stage: &Stage, body: BodyIndex) -> [f64; 2] {
+    let given = stage.bodies.get(usize::from(body)).and_then(|body| body.start_m);
+    given.unwrap_or([0.0, SIDE_BY_SIDE_M * (f64::from(body) - 0.5 * (stage.bodies.len().max(1) - 1) as f64)])
 }
 
 /// A body's colour, `#rrggbb`: that of the stage file, else one of its own by its place among the bodies; none is that of a fault.

@@ -121,7 +121,7 @@ export class StageView implements View {
       this.figures.get(name)?.update(body, height_m);
       return [`${hello!.bodies.length > 1 ? name : "body"}: ${this.words(body)}`];
     });
-    setText(this.bodySummary, said.join("; "));
+    setText(this.bodySummary, said.join("\n"));
   }
 
   private words(body: FigureMessage): string {

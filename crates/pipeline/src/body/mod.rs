@@ -22,7 +22,7 @@ use posed_fusion::body::{
 use posed_fusion::faults::Cause;
 use posed_geometry::{isometry, orientation_from_wxyz, orientation_to_wxyz};
 use posed_stage::input::{MountedSensor, SensorIndex};
-use posed_stage::layout::{Wearers, skeleton_of};
+use posed_stage::layout::{Wearers, skeleton_of, start_of};
 use posed_stage::output::{Body, Estimate, PoseEstimate, PositionSource, SegmentEstimate, SegmentState};
 use posed_stage::{BodyIndex, Mounting, Stage};
 
@@ -51,6 +51,9 @@ pub(super) struct BodyStage {
     trackers: Vec<BodyTracker>,
     epochs: Epochs,
     solver: Solver,
+    /// Where it stands at first, m; from there the feet bring it until trackers have seen it.
+    #[state(keep)]
+    start_m: Vector3<f64>,
     /// The hips' mid-point where trackers last saw it, m.
     pelvis_m: Option<Vector3<f64>>,
     tracked: Vec<Tracked>,
@@ -88,6 +91,7 @@ impl BodyStage {
         }
         let lacks = PipelineError::Value { key: "body.height_m", expected: "the person's height, m" };
         let skeleton = skeleton_of(body).ok_or(lacks)?;
+        let [start_x_m, start_y_m] = start_of(stage, index);
         let given = body.mounting == Mounting::Given;
         let mut trackers = Vec::with_capacity(wearers.trackers.len());
         let mut rotations_known = true;
@@ -123,6 +127,7 @@ impl BodyStage {
             trackers,
             epochs: Epochs::new(imus, field),
             solver,
+            start_m: Vector3::from([start_x_m, start_y_m, 0.0]),
             pelvis_m: None,
             out: Body {
                 index,
@@ -339,12 +344,15 @@ impl BodyStage {
                 filter.place_at(pelvis_m);
             }
         }
+        let begun_m = if self.pelvis_m.is_none() { self.start_m } else { Vector3::zeros() };
         let (pelvis_m, position_source) = match (self.pelvis_m, found.travel) {
             (Some(pelvis_m), _) if count > 0.0 => (pelvis_m, PositionSource::Trackers),
-            (_, Some(travel)) if travel.contacts.is_some() => (travel.pelvis_m, PositionSource::Feet),
-            (_, Some(travel)) => (travel.pelvis_m, PositionSource::Held),
+            (_, Some(travel)) if travel.contacts.is_some() => {
+                (begun_m + travel.pelvis_m, PositionSource::Feet)
+            }
+            (_, Some(travel)) => (begun_m + travel.pelvis_m, PositionSource::Held),
             (Some(pelvis_m), None) => (pelvis_m, PositionSource::Held),
-            (None, None) => (found.pelvis_m(&self.skeleton), PositionSource::Origin),
+            (None, None) => (begun_m + found.pelvis_m(&self.skeleton), PositionSource::Origin),
         };
         self.out.position_source = position_source;
         self.out.position_sigma_m = match position_source {

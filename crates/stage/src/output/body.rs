@@ -99,13 +99,13 @@ impl SegmentState {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema, Plain)]
 #[serde(rename_all = "snake_case")]
 pub enum PositionSource {
-    /// From nothing: it stands above the room's origin.
+    /// From nothing: it stands where it began, by the stage file or above the room's origin.
     #[default]
     Origin,
     /// From magnetic trackers on the body.
     Trackers,
     /// From trackers that are silent now, or feet that are not seen: it stands where they last were.
     Held,
-    /// From the feet that stand, since it began above the room's origin or trackers last said where it is.
+    /// From the feet that stand, since it began, or trackers last said where it is.
     Feet,
 }
