@@ -129,7 +129,7 @@ fn an_exercise_of_one_person_is_counted_for_everybody() {
     let cast = [("anna", anna.0, anna.1), ("bert", 1.7, Activity::Curls), ("clara", clara.0, clara.1)];
     let (stage, scenario) = people(&cast);
     let mut rig = Rig::new(&stage, &scenario);
-    rig.run_until(16.0);
+    rig.run_until(14.0);
     let squat = taught(&rig, &stage, "anna");
     assert!(squat.channels.iter().all(|channel| !channel.contains('.')), "{:?}", squat.channels);
     rig.push(Input::Model(Model::Exercise { exercise: Box::new(squat) }));
@@ -147,7 +147,7 @@ fn an_exercise_of_one_person_is_counted_for_everybody() {
     rig.push(Input::Request(select("patient 7", Some("clara"))));
     rig.push(Input::Request(select("patient 8", Some("bert"))));
     assert_eq!(rig.pipeline.status().requests_refused, 0);
-    rig.run_until(30.0);
+    rig.run_until(26.0);
     let is_of = |said: &Said, of: &str| match said {
         Said::Outcome(outcome) => match &outcome.what {
             OutcomeKind::Exercise(exercise) if &*exercise.subject == of => {

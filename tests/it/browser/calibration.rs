@@ -138,24 +138,6 @@ async fn calibrating(stage: &Path, how: &str) -> (Posed, Browser) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_body_is_calibrated_in_the_browser_and_then_stands() {
-    if !chromium::is_wanted() {
-        return;
-    }
-    let folder = tempfile::tempdir().unwrap();
-    let (posed, mut browser) = calibrating(&posing(folder.path()), "quick").await;
-    guided(&mut browser, CALIBRATE, "2 of 2: Raise both arms", "mounting is known").await;
-    browser.until("document.getElementById('mounting').rows.length === 15").await;
-    browser.picture("mounting").await;
-    browser.click("tab-stage-view").await;
-    browser
-        .until("document.getElementById('body-summary').textContent.startsWith('body: 15 of 15 segments measured')")
-        .await;
-    browser.until("document.getElementById('problems').hidden").await;
-    done(browser, posed).await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
 async fn swapped_sensors_are_found_in_the_browser() {
     if !chromium::is_wanted() {
         return;

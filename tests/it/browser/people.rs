@@ -62,7 +62,9 @@ async fn one_of_two_people_is_chosen_calibrated_and_exported() {
     browser.until(&format!("{chosen} === 'bert'")).await;
     browser.value("document.getElementById('calibrate-how').value = 'quick'").await;
     guided(&mut browser, CALIBRATE, "2 of 2: Raise both arms", "mounting is known").await;
+    browser.until("document.getElementById('mounting').rows.length === 4").await;
     assert!(browser.row("mounting", 1).await[1].starts_with("bert-"));
+    browser.picture("mounting").await;
     browser.click("tab-stage-view").await;
     browser.until("document.getElementById('body-summary').textContent.startsWith('bert: 4 of 14 segments measured')").await;
     // Of her nothing is known yet, and that is said by her name.
