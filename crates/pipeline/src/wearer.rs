@@ -20,7 +20,7 @@ use posed_stage::{BodyIndex, Stage};
 pub(super) struct Wearer {
     #[state(keep)]
     pub(super) name: String,
-    /// Boxed, as is the chain: a stage of many bodies has few that are both.
+    /// Boxed, as is the chain: both are large, and a body is one of them at most.
     #[state(each)]
     pub(super) human: Option<Box<BodyStage>>,
     #[state(each)]
