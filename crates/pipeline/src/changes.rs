@@ -10,9 +10,9 @@ use super::input_error::InputError;
 use super::sensor::Sensor;
 use posed_fusion::noise::TrackerNoise;
 use posed_motion::fault_map::FaultMap;
-use posed_stage::BodyIndex;
 use posed_stage::input::{DeviceIndex, Model, Request, SensorIndex};
 use posed_stage::output::{Outcome, OutcomeKind, Output};
+use posed_stage::{BodyIndex, body_named};
 
 impl Pipeline {
     /// Whether a model can be used now; [`Input::Model`](crate::Input::Model) then swaps it in, unless it is of a part that this stage does not have.
@@ -87,11 +87,7 @@ impl Pipeline {
 
     /// The body of that name, or the only one.
     fn body(&self, name: Option<&str>) -> Result<BodyIndex, InputError> {
-        let Some(name) = name else {
-            return if self.bodies.len() > 1 { Err(InputError::WhichBody) } else { Ok(0) };
-        };
-        let at = self.bodies.iter().position(|body| body.name == name);
-        at.map(|at| at as BodyIndex).ok_or_else(|| InputError::NoBody(name.to_owned()))
+        Ok(body_named(self.bodies.iter().map(|body| &*body.name), name)?)
     }
 
     /// The body whose heading is to begin anew, and which of its sensors, `None` for all of them.
@@ -108,7 +104,8 @@ impl Pipeline {
             let (key, expected) = ("heading_deg", "-360 to 360".to_owned());
             return Err(InputError::OutOfRange { key, expected });
         }
-        let wearer = sensor.filter(|_| body.is_none()).and_then(|_| self.wearer_of(sensor));
+        // Who is not named is who wears the sensor.
+        let wearer = if body.is_none() && sensor.is_some() { self.wearer_of(sensor) } else { None };
         let at = usize::from(wearer.map_or_else(|| self.body(body), Ok)?);
         let human = self.bodies.get(at).and_then(|body| body.human.as_ref());
         if human.is_some_and(|human| human.drifts(sensor)) {

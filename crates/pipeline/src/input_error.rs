@@ -1,6 +1,16 @@
 //! Why a request or a model is not taken.
 
 use posed_motion::exercise::CounterError;
+use posed_stage::WhichBody;
+
+impl From<WhichBody> for InputError {
+    fn from(which: WhichBody) -> Self {
+        match which {
+            WhichBody::Unknown(name) => Self::NoBody(name),
+            WhichBody::Several => Self::WhichBody,
+        }
+    }
+}
 
 /// What stands against a request or a model; each is a sentence for whoever sent it.
 #[derive(Debug, thiserror::Error)]

@@ -87,6 +87,46 @@ pub struct Body {
     pub calibration: Vec<Calibration>,
 }
 
+/// Why it can't be said which body is meant.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum WhichBody {
+    /// There is none of that name.
+    Unknown(String),
+    /// None was named, and there are several.
+    Several,
+}
+
+/// The body of that name, or the only one; 0 where none is named and there is none.
+///
+/// # Errors
+/// There is none of that name, or several and none was named.
+pub fn body_named<'a>(
+    names: impl ExactSizeIterator<Item = &'a str>,
+    name: Option<&str>,
+) -> Result<BodyIndex, WhichBody> {
+    let Some(name) = name else {
+        return if names.len() > 1 { Err(WhichBody::Several) } else { Ok(0) };
+    };
+    let mut names = names;
+    let at = names.position(|known| known == name);
+    at.map(|at| at as BodyIndex).ok_or_else(|| WhichBody::Unknown(name.to_owned()))
+}
+
+/// The body whose joints count for a subject: that of this name, else the one that is called as the subject, else the first.
+///
+/// # Errors
+/// [`WhichBody::Unknown`]: there is none of that name.
+pub fn body_counted<'a>(
+    names: impl ExactSizeIterator<Item = &'a str> + Clone,
+    name: Option<&str>,
+    subject: Option<&str>,
+) -> Result<BodyIndex, WhichBody> {
+    if name.is_some() {
+        return body_named(names, name);
+    }
+    Ok(subject.and_then(|subject| body_named(names, Some(subject)).ok()).unwrap_or(0))
+}
+
 fn default_name() -> String {
     "person".to_owned()
 }

@@ -39,6 +39,7 @@ use posed_motion::fault_map::FaultMap;
 pub use attached::AttachedImu;
 pub use body::{
     Body, BodyIndex, Calibration, JointKind, Lengths, MOST_BODIES, Mounting, SEGMENTS, SegmentSpec, Skeleton,
+    WhichBody, body_counted, body_named,
 };
 pub use check::{Report, check, check_in, check_table};
 pub use driver::{Driver, TimeBase};
@@ -210,29 +211,29 @@ impl Stage {
     /// # Errors
     /// One sentence: there is no such body, or there are several and none was named.
     pub fn of_body(mut self, name: Option<&str>) -> Result<Self, String> {
-        let names: Vec<String> = self.bodies.iter().map(|body| format!("`{}`", body.name)).collect();
-        let at = match (name, names.len()) {
-            (Some(name), _) => {
-                let at = self.bodies.iter().position(|body| body.name == name);
-                at.ok_or_else(|| match &*names {
-                    [] => format!("the stage has no body `{name}`: it has none"),
-                    _ => format!("the stage has no body `{name}`: it has {}", names.join(", ")),
-                })?
+        let at = body_named(self.body_names(), name).map_err(|which| {
+            let names: Vec<String> = self.body_names().map(|name| format!("`{name}`")).collect();
+            match (which, names.is_empty()) {
+                (WhichBody::Unknown(name), true) => format!("the stage has no body `{name}`: it has none"),
+                (WhichBody::Unknown(name), false) => {
+                    format!("the stage has no body `{name}`: it has {}", names.join(", "))
+                }
+                (WhichBody::Several, _) => {
+                    format!("the stage has several bodies: name one of {}", names.join(", "))
+                }
             }
-            (None, 0 | 1) => return Ok(self),
-            (None, _) => {
-                return Err(format!("the stage has several bodies: name one of {}", names.join(", ")));
-            }
-        };
-        let body = self.bodies.swap_remove(at);
-        self.sensors.iter_mut().filter(|sensor| sensor.body.is_none()).for_each(|sensor| {
-            // Beside several bodies nobody wears it.
-            if names.len() > 1 {
-                sensor.body = Some(String::new());
-            }
-        });
-        self.bodies = vec![body];
+        })?;
+        if self.bodies.len() > 1 {
+            // Beside several bodies nobody wears what says no body.
+            self.sensors.iter_mut().for_each(|sensor| _ = sensor.body.get_or_insert_default());
+            self.bodies = vec![self.bodies.swap_remove(usize::from(at))];
+        }
         Ok(self)
+    }
+
+    /// The bodies' names, in their order.
+    pub fn body_names(&self) -> impl ExactSizeIterator<Item = &str> + Clone {
+        self.bodies.iter().map(|body| &*body.name)
     }
 
     /// Names of the sensors of magnetic trackers, in the order of [`Stage::sensors`].

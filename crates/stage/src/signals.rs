@@ -4,8 +4,6 @@
 //! What it never does: hand out a coasting or a suspect pose. Live, in recordings and in files the columns have the
 //! same names, so an exercise taught in one is counted in the others.
 
-use std::ops::Range;
-
 use crate::layout::BodyLayout;
 use crate::output::{Body, Estimate};
 use crate::{BodyIndex, Stage};
@@ -48,6 +46,13 @@ pub fn columns_of(stage: &Stage) -> Vec<String> {
 pub fn prefix_of(stage: &Stage, body: BodyIndex) -> String {
     let name = stage.bodies.get(usize::from(body)).filter(|_| stage.bodies.len() > 1);
     name.map_or_else(String::new, |body| format!("{}.", body.name))
+}
+
+/// The column that a channel of an exercise is where the body with this [`prefix_of`] does it, `columns` being those of the stage ([`columns_of`]): a joint is that
+/// body's, and everything else is as it is called.
+pub fn column_of(channel: &str, prefix: &str, columns: &[String]) -> String {
+    let joint = format!("{prefix}{channel}");
+    if columns.contains(&joint) { joint } else { channel.to_owned() }
 }
 
 /// Those of [`columns_of`] that describe who exercises: of this body, not those of sensors that nobody or somebody else wears, which
@@ -153,12 +158,6 @@ impl BodyColumns {
             columns.into_iter().map(move |column| format!("{prefix}{column}"))
         };
         (0..).zip(BodyLayout::all(stage)).flat_map(of).collect()
-    }
-
-    /// Which of these columns are a body's, by their place among them; none where there is no such body.
-    pub fn range(&self, body: BodyIndex) -> Range<usize> {
-        let before = self.0.iter().take(usize::from(body)).map(Vec::len).sum();
-        before..before + self.0.get(usize::from(body)).map_or(0, Vec::len)
     }
 
     /// Appends the bodies' angles, degrees, in the order of [`Self::names`], to what [`write()`] and

@@ -20,7 +20,7 @@ use posed_geometry::orientation_to_wxyz;
 use posed_pipeline::all_have_field;
 use posed_stage::input::{Model, MountedSensor, SensorIndex};
 use posed_stage::layout::{ChainLayout, Wearers, offset_on, segment_of, skeleton_of};
-use posed_stage::{BodyIndex, Stage};
+use posed_stage::{BodyIndex, Stage, body_named};
 
 impl Calls {
     /// Begins a calibration.
@@ -40,16 +40,12 @@ impl Calls {
 
     /// The body of that name, or the only one.
     pub(super) fn body(&self, name: Option<&str>) -> Result<BodyIndex, Refusal> {
-        let names = || self.stage.bodies.iter().map(|body| &*body.name);
-        let at = match (name, self.stage.bodies.len()) {
-            (Some(name), _) => names().position(|known| known == name),
-            (None, 0 | 1) => Some(0),
-            (None, _) => None,
-        };
-        let which = || format!("body: name one of {}", names().collect::<Vec<_>>().join(", "));
-        at.map(|at| at as BodyIndex).ok_or_else(|| match self.stage.bodies.is_empty() {
+        let names = self.stage.body_names();
+        body_named(names.clone(), name).map_err(|_| match self.stage.bodies.is_empty() {
             true => Refusal::new("no_body", "this stage has no [[body]]"),
-            false => Refusal::bad_request(which()),
+            false => {
+                Refusal::bad_request(format!("body: name one of {}", names.collect::<Vec<_>>().join(", ")))
+            }
         })
     }
 
@@ -232,15 +228,15 @@ impl Guided for Body {
         let (objections, objection) = self.guide.objection();
         let name = |segment: BodySegment| self.names[segment.index()].as_deref().unwrap_or(segment.name());
         let silent = self.guide.silent().map(name).collect::<Vec<_>>().join(", ");
-        let now = Some((done, objections, silent));
-        if self.reported != now {
+        let now = (done, objections, silent);
+        if self.reported.as_ref() != Some(&now) {
             let again = objection.map_or_else(String::new, |objection| format!("{objection}. Once more: "));
-            let silent = match now.as_ref() {
-                Some((.., silent)) if !silent.is_empty() => format!("{silent}: nothing comes; see to it. "),
-                _ => String::new(),
+            let silent = match &*now.2 {
+                "" => String::new(),
+                silent => format!("{silent}: nothing comes; see to it. "),
             };
             let message = format!("{} of {steps}: {silent}{again}{prompt}", done + 1);
-            self.reported = now;
+            self.reported = Some(now);
             job.progress(Some(done as f64 / steps as f64), Some(message));
         }
     }

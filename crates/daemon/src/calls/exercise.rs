@@ -17,7 +17,7 @@ use super::Calls;
 use posed_motion::exercise::{Exercise, Options, Refusal, Report, Stream, columns_of, rests, teach};
 use posed_pipeline::DEFAULT_SUBJECT;
 use posed_stage::input::{Model, Plan, Request};
-use posed_stage::{BodyIndex, signals};
+use posed_stage::{BodyIndex, body_counted, signals};
 
 /// Longest time that repetitions may take, s.
 const LONGEST_S: f64 = 120.0;
@@ -104,14 +104,11 @@ impl Calls {
 
     /// The body that a lesson is about: that of this name, else the one that is called as the subject, else the first.
     fn looked_at(&self, lesson: &Lesson) -> Result<BodyIndex, server::Refusal> {
-        let named = |name: &String| self.stage.bodies.iter().position(|body| body.name == *name);
-        let at = match &lesson.body {
-            Some(name) => named(name).ok_or_else(|| {
-                server::Refusal::bad_request(format!("body: this stage has no body {name:?}"))
-            })?,
-            None => lesson.subject.as_ref().and_then(named).unwrap_or(0),
-        };
-        Ok(at as BodyIndex)
+        let (name, subject) = (lesson.body.as_deref(), lesson.subject.as_deref());
+        body_counted(self.stage.body_names(), name, subject).map_err(|_| {
+            let name = name.unwrap_or_default();
+            server::Refusal::bad_request(format!("body: this stage has no body {name:?}"))
+        })
     }
 
     /// What the named channels come from; without names all that tells of who exercises.
@@ -120,11 +117,8 @@ impl Calls {
         let Some(channels) = channels else { return of_wearer };
         let prefix = signals::prefix_of(&self.stage, body);
         let all = signals::columns_of(&self.stage);
-        // Joints are those of this body: an exercise may be anybody's.
-        let own = |channel: &String| {
-            let joint = format!("{prefix}{channel}");
-            if all.contains(&joint) { joint } else { channel.clone() }
-        };
+        // An exercise may be anybody's.
+        let own = |channel: &String| signals::column_of(channel, &prefix, &all);
         let channels: Vec<String> = channels.iter().map(own).collect();
         // A name that is none is refused when it is taught.
         columns_of(&channels, &all).unwrap_or(all)

@@ -16,11 +16,10 @@ use self::subject::Subject;
 use super::input_error::InputError;
 use posed_motion::exercise::{Counter, CountingCost, Exercise};
 use posed_stage::input::{Plan, Request};
-use posed_stage::layout::BodyLayout;
 use posed_stage::name::Name;
 use posed_stage::output::{Body, Estimate, Outcome};
 use posed_stage::signals::{self, BodyColumns, InertialColumns};
-use posed_stage::{BodyIndex, Stage};
+use posed_stage::{BodyIndex, Stage, body_counted};
 
 /// Name of the subject that moves unless a client specifies otherwise: loaded exercises are counted for it until it selects its
 /// own.
@@ -66,8 +65,6 @@ struct Counted {
     name: String,
     /// What stands in front of the names of its angles.
     prefix: String,
-    /// Its angles' names, without that.
-    angles: Vec<String>,
 }
 
 impl Counted {
@@ -84,13 +81,11 @@ impl Counted {
     }
 
     fn all(stage: &Stage) -> Vec<Self> {
-        let angles = |layout: Option<BodyLayout>| layout.iter().flat_map(BodyLayout::columns).collect();
-        let of = |((index, body), layout): ((BodyIndex, &posed_stage::Body), _)| Self {
-            name: body.name.clone(),
+        let of = |(index, name): (BodyIndex, &str)| Self {
+            name: name.to_owned(),
             prefix: signals::prefix_of(stage, index),
-            angles: angles(layout),
         };
-        (0..).zip(&stage.bodies).zip(BodyLayout::all(stage)).map(of).collect()
+        (0..).zip(stage.body_names()).map(of).collect()
     }
 }
 
@@ -138,19 +133,16 @@ impl ExerciseStage {
 
     /// Lets the joints of an exercise be those of this body.
     fn assign(&self, exercise: &mut Exercise, body: Option<&Counted>) {
-        let Some(body) = body.filter(|body| !body.prefix.is_empty()) else { return };
-        for channel in channels_of(exercise).filter(|channel| body.angles.contains(channel)) {
-            channel.insert_str(0, &body.prefix);
+        let Some(body) = body else { return };
+        for channel in channels_of(exercise) {
+            *channel = signals::column_of(channel, &body.prefix, &self.columns);
         }
     }
 
     /// The body that is counted for a subject: that of this name, else the one that is called as the subject, else the first.
     fn counted(&self, subject: &str, body: Option<&str>) -> Result<Option<&Counted>, InputError> {
-        let named = |name: &str| self.bodies.iter().find(|body| body.name == name);
-        match body {
-            Some(name) => named(name).map(Some).ok_or_else(|| InputError::NoBody(name.to_owned())),
-            None => Ok(named(subject).or(self.bodies.first())),
-        }
+        let names = self.bodies.iter().map(|body| &*body.name);
+        Ok(self.bodies.get(usize::from(body_counted(names, body, Some(subject))?)))
     }
 
     /// Who is counted for whom nobody has selected anything.

@@ -22,6 +22,7 @@ pub(super) fn check(root: &Item<'_, '_>, notes: &mut Notes<'_>) {
                 }
             }
         }
+        return;
     }
     named(&bodies, &sensors, notes);
     for body in &bodies {
@@ -35,7 +36,7 @@ pub(super) fn check(root: &Item<'_, '_>, notes: &mut Notes<'_>) {
     }
 }
 
-/// Names that bodies can be told apart by, and sensors that say which one wears them.
+/// Names that distinguish bodies, and sensors that say which one wears them.
 fn named(bodies: &[Item<'_, '_>], sensors: &[Item<'_, '_>], notes: &mut Notes<'_>) {
     unique(bodies, "name", "body", notes);
     if let Some(first) = bodies.get(MOST_BODIES) {
@@ -65,7 +66,7 @@ fn named(bodies: &[Item<'_, '_>], sensors: &[Item<'_, '_>], notes: &mut Notes<'_
     let names: Vec<&str> = bodies.iter().filter_map(|body| Some(body.text("name")?.value)).collect();
     for sensor in sensors {
         match sensor.text("body") {
-            Some(body) if !bodies.is_empty() && !names.contains(&body.value) => {
+            Some(body) if !names.contains(&body.value) => {
                 let fix = suggest(body.value, &names, "give the body this `name`, or remove the key");
                 notes.problem(&body.at, "body", format!("there is no body `{}`", body.value), fix);
             }
