@@ -7,12 +7,12 @@
 use posed_state::State;
 
 use crate::frame::Frame;
-use posed_fusion::body::{ANGLES, AngleSpread, Heading};
+use posed_fusion::body::Heading;
 use posed_fusion::chain::{ChainCalibration, LiveChain};
 use posed_geometry::orientation_to_wxyz;
 use posed_stage::input::SensorIndex;
 use posed_stage::layout::ChainLayout;
-use posed_stage::output::{Body, PositionSource, SegmentEstimate, SegmentState};
+use posed_stage::output::{Body, SegmentEstimate, SegmentState};
 use posed_stage::{BodyIndex, Stage};
 
 /// Headings count as known from here on, rad; before, the axes have been level for too short a time.
@@ -50,18 +50,7 @@ impl ChainStage {
             live: None,
             settled: false,
             begun_s: None,
-            out: Body {
-                index: body,
-                t_valid: Default::default(),
-                heading: Heading::Unknown,
-                heading_sigma_rad: None,
-                position_source: PositionSource::Origin,
-                position_sigma_m: None,
-                contacts: None,
-                segments: vec![SegmentEstimate::default(); imus.len()],
-                angles_rad: [None; ANGLES],
-                spread: AngleSpread::default(),
-            },
+            out: Body::unknown(body, imus.len()),
             imus,
         })
     }

@@ -60,18 +60,7 @@ impl Recent {
     fn body(&mut self, body: &Body) {
         // All but the segments, which would have to be allocated.
         let Some(newest) = self.bodies.get_mut(usize::from(body.index)) else { return };
-        *newest = Some(Body {
-            index: body.index,
-            t_valid: body.t_valid,
-            heading: body.heading,
-            heading_sigma_rad: body.heading_sigma_rad,
-            position_source: body.position_source,
-            position_sigma_m: body.position_sigma_m,
-            contacts: body.contacts,
-            segments: Vec::new(),
-            angles_rad: body.angles_rad,
-            spread: body.spread,
-        });
+        *newest = Some(Body { segments: Vec::new(), ..*body });
     }
 
     fn push(&mut self, estimate: &Estimate) {

@@ -460,11 +460,10 @@ mod tests {
 
     use super::super::testing::received;
     use super::*;
-    use posed_fusion::body::{ANGLES, AngleSpread, Heading};
     use posed_fusion::faults::Cause;
     use posed_motion::exercise::EventKind;
     use posed_stage::Stage;
-    use posed_stage::output::{Body, Estimate, Outcome, PositionSource};
+    use posed_stage::output::{Body, Estimate, Outcome};
     use posed_stage::output::{ExerciseOutcome, ExerciseWhat, OutcomeKind};
 
     fn distributor(limits: &Limits) -> Distributor {
@@ -613,18 +612,7 @@ mod tests {
         distributor.names = Arc::new(Names::new(&Stage::parse(stage).unwrap()));
         let body = |distributor: &mut Distributor, index, t_us: i64| {
             let t_valid = Timestamp::from_nanos(t_us * 1000);
-            let body = Body {
-                index,
-                t_valid,
-                heading: Heading::Field,
-                heading_sigma_rad: None,
-                position_source: PositionSource::Origin,
-                position_sigma_m: None,
-                contacts: None,
-                segments: Vec::new(),
-                angles_rad: [None; ANGLES],
-                spread: AngleSpread::default(),
-            };
+            let body = Body { t_valid, ..Body::unknown(index, 0) };
             publish(distributor, Item::Body(Box::new(body)));
         };
         let names = |outbox: &Outbox| -> Vec<(String, i64)> {

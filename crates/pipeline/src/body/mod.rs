@@ -16,8 +16,8 @@ use self::epochs::{Epoch, Epochs};
 use super::PipelineError;
 use crate::frame::Frame;
 use posed_fusion::body::{
-    ANGLES, AngleSpread, BodyEstimate, BodyFilter, BodyParams, BodySegment, DoubleTap, Figure, Follower,
-    Heading, SEGMENTS, SensorMount, Skeleton, Tracked, angles,
+    BodyEstimate, BodyFilter, BodyParams, BodySegment, DoubleTap, Figure, Follower, Heading, SEGMENTS,
+    SensorMount, Skeleton, Tracked, angles,
 };
 use posed_fusion::faults::Cause;
 use posed_geometry::{isometry, orientation_from_wxyz, orientation_to_wxyz};
@@ -129,18 +129,7 @@ impl BodyStage {
             solver,
             start_m: Vector3::from([start_x_m, start_y_m, 0.0]),
             pelvis_m: None,
-            out: Body {
-                index,
-                t_valid: Default::default(),
-                heading: Heading::Unknown,
-                heading_sigma_rad: None,
-                position_source: PositionSource::Origin,
-                position_sigma_m: None,
-                contacts: None,
-                segments: vec![SegmentEstimate::default(); SEGMENTS],
-                angles_rad: [None; ANGLES],
-                spread: AngleSpread::default(),
-            },
+            out: Body::unknown(index, SEGMENTS),
         }))
     }
 

@@ -40,6 +40,24 @@ pub struct Body {
     pub spread: AngleSpread,
 }
 
+impl Body {
+    /// One of which nothing is known yet, with so many segments.
+    pub fn unknown(index: BodyIndex, segments: usize) -> Self {
+        Self {
+            index,
+            t_valid: Timestamp::default(),
+            heading: Heading::Unknown,
+            heading_sigma_rad: None,
+            position_source: PositionSource::Origin,
+            position_sigma_m: None,
+            contacts: None,
+            segments: vec![SegmentEstimate::default(); segments],
+            angles_rad: [None; ANGLES],
+            spread: AngleSpread::default(),
+        }
+    }
+}
+
 /// One segment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Plain)]
 pub struct SegmentEstimate {
