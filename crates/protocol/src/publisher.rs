@@ -26,6 +26,14 @@ pub struct Stamp {
 /// Streams of messages, each with times that rise: the topics, and one more for every body after the first.
 pub const STREAMS: usize = Topic::COUNT + MOST_BODIES - 1;
 
+impl Topic {
+    /// Which of the [`STREAMS`] its messages may belong to.
+    pub fn streams(self) -> impl Iterator<Item = usize> {
+        let further = if self == Self::Body { Self::COUNT..STREAMS } else { 0..0 };
+        std::iter::once(self.index()).chain(further)
+    }
+}
+
 impl Stamp {
     /// Which of the [`STREAMS`] it belongs to; topics are first, by their index.
     pub fn stream(&self) -> usize {

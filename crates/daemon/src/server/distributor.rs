@@ -249,7 +249,7 @@ impl Distributor {
                 self.reply_ok(at, id, None);
                 for (topic, view) in begun {
                     let subscription = Subscription { view, policy: drop.unwrap_or_default(), live_after };
-                    streams_of(topic).for_each(|stream| self.clients[at].rates[stream] = rate);
+                    topic.streams().for_each(|stream| self.clients[at].rates[stream] = rate);
                     let replaced = self.clients[at].subscriptions[topic.index()].replace(subscription);
                     if let Some(old) = replaced {
                         self.views[old.view].users -= 1;
@@ -317,7 +317,7 @@ impl Distributor {
             if let Some(old) = self.clients[at].subscriptions[topic.index()].take() {
                 self.views[old.view].users -= 1;
             }
-            streams_of(*topic).for_each(|stream| self.clients[at].sent_us[stream] = None);
+            topic.streams().for_each(|stream| self.clients[at].sent_us[stream] = None);
         }
     }
 
@@ -330,7 +330,7 @@ impl Distributor {
             }
             return;
         }
-        for stream in streams_of(topic) {
+        for stream in topic.streams() {
             if let Some((stamp, item)) = &self.last[stream]
                 && client.sent_us[stream].is_none_or(|sent_us| sent_us < stamp.t_us)
                 && client.rates[stream].as_mut().is_none_or(|rate| rate.is_due(stamp.t_us as f64))
@@ -425,12 +425,6 @@ impl Client {
         }
         self.outbox.push_lossless(Outgoing::Whole(encode::whole(self.outbox.encoding(), message)));
     }
-}
-
-/// The streams of a topic.
-fn streams_of(topic: Topic) -> impl Iterator<Item = usize> {
-    let further = if topic == Topic::Body { Topic::COUNT..STREAMS } else { 0..0 };
-    std::iter::once(topic.index()).chain(further)
 }
 
 impl Event {

@@ -3,6 +3,8 @@
 //! Colours say how far to trust: blue is good, violet repaired or extrapolated, orange suspect, red stuck, grey late or inferred. What is missing is
 //! not drawn.
 
+use std::borrow::Cow;
+
 use nalgebra::{Point3, Vector3};
 use serde::Serialize;
 
@@ -10,7 +12,6 @@ use crate::{Names, round};
 use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton};
 use posed_geometry::isometry;
 use posed_stage::output::{Body, Estimate, SegmentEstimate, SegmentState, SensorState};
-use posed_stage::{BodyIndex, MOST_BODIES};
 
 /// Diameter of a sensor's ball, m.
 const BALL_M: f64 = 0.04;
@@ -167,7 +168,7 @@ pub(super) struct SceneUpdate<'a> {
 struct Entity<'a> {
     timestamp: Time,
     frame_id: &'static str,
-    id: &'static str,
+    id: Cow<'static, str>,
     /// Until the next one: the clocks of viewer and stage may differ.
     lifetime: Time,
     frame_locked: bool,
@@ -183,11 +184,11 @@ struct Entity<'a> {
 }
 
 impl<'a> SceneUpdate<'a> {
-    fn new(timestamp: Time, id: &'static str) -> Self {
+    fn new(timestamp: Time, id: impl Into<Cow<'static, str>>) -> Self {
         let entity = Entity {
             timestamp,
             frame_id: super::ROOM,
-            id,
+            id: id.into(),
             lifetime: Time::default(),
             frame_locked: false,
             metadata: [],
@@ -239,7 +240,11 @@ impl<'a> SceneUpdate<'a> {
 
     /// The figure: trunk, shoulders, hips, limbs, head.
     pub(super) fn body(timestamp: Time, body: &Body, skeleton: &Skeleton) -> Self {
-        let mut scene = Self::new(timestamp, body_id(body.index));
+        // What is drawn of a body takes the place of what was drawn of it before, and of nobody else.
+        let mut scene = match body.index {
+            0 => Self::new(timestamp, "body"),
+            index => Self::new(timestamp, format!("body{}", u16::from(index) + 1)),
+        };
         let [entity] = &mut scene.entities;
         let mut lines = Lines {
             r#type: 2,
@@ -283,15 +288,6 @@ impl<'a> SceneUpdate<'a> {
         entity.lines.push(lines);
         scene
     }
-}
-
-/// What is drawn of a body takes the place of what was drawn of it before, and of nobody else.
-fn body_id(body: BodyIndex) -> &'static str {
-    const IDS: [&str; MOST_BODIES] = [
-        "body", "body2", "body3", "body4", "body5", "body6", "body7", "body8", "body9", "body10", "body11",
-        "body12", "body13", "body14", "body15", "body16",
-    ];
-    IDS[usize::from(body).min(MOST_BODIES - 1)]
 }
 
 struct DrawnSegment {
