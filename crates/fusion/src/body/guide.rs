@@ -86,8 +86,6 @@ pub struct Guide {
     /// Directions of the specific force while the arms hung.
     hung: Option<[Vector3<f64>; SEGMENTS]>,
     still_since_s: Option<f64>,
-    moving_since_s: Option<f64>,
-    rest_since_s: Option<f64>,
     /// When each sensor was heard last, s.
     heard_s: [Option<f64>; SEGMENTS],
     /// What each sensor did since the step began.
@@ -145,8 +143,6 @@ impl Guide {
             specific_forces_m_s2: [Vector3::zeros(); SEGMENTS],
             hung: None,
             still_since_s: None,
-            moving_since_s: None,
-            rest_since_s: None,
             heard_s: [None; SEGMENTS],
             turns: [Turn::default(); SEGMENTS],
         }
@@ -186,7 +182,7 @@ impl Guide {
         }
         if self.silent().next().is_some() {
             // What is not heard can't have been done as asked.
-            (self.still_since_s, self.moving_since_s, self.rest_since_s) = (None, None, None);
+            self.begin_step();
         } else if matches!(kind, BlockKind::NPose | BlockKind::TPose) {
             self.pose(kind, t_s)
         } else {
@@ -254,27 +250,26 @@ impl Guide {
     }
 
     fn movement(&mut self, kind: BlockKind, t_s: f64) {
-        let moves = self.moved_by(kind).any(|index| self.angular_speeds_rad_s[index] > MOVES_RAD_S);
-        let rests = self.moved_by(kind).all(|index| self.angular_speeds_rad_s[index] < STILL_RAD_S);
-        if moves {
-            self.moving_since_s.get_or_insert(t_s);
-        }
-        self.rest_since_s = if rests { self.rest_since_s.or(Some(t_s)) } else { None };
-        if let (Some(began_s), Some(rest_s)) = (self.moving_since_s, self.rest_since_s)
-            && rest_s > began_s
-            && t_s - rest_s >= REST_S
-        {
-            if rest_s - began_s >= MOVEMENT_S {
-                self.done(Block { kind, start_s: began_s - LEAD_S, end_s: rest_s });
-            } else {
-                self.moving_since_s = None;
+        let asked: Vec<usize> = self.moved_by(kind).collect();
+        let turns = || asked.iter().map(|index| self.turns[*index]);
+        let began_s = turns().filter_map(|turn| turn.began_s).reduce(f64::min);
+        // All of them rest since the last one does.
+        let rest_s = turns().map(|turn| turn.rests_since_s).reduce(|a, b| Some(a?.max(b?))).flatten();
+        let Some(began_s) = began_s else {
+            if let Some(instead) = self.moved_instead(kind, t_s) {
+                self.objection = Some(instead.to_string());
+                self.objections += 1;
+                self.begin_step();
             }
-        } else if self.moving_since_s.is_none()
-            && let Some(instead) = self.moved_instead(kind, t_s)
-        {
-            self.objection = Some(instead.to_string());
-            self.objections += 1;
-            self.turns = [Turn::default(); SEGMENTS];
+            return;
+        };
+        let Some(rest_s) = rest_s.filter(|rest_s| *rest_s > began_s && t_s - rest_s >= REST_S) else {
+            return;
+        };
+        if rest_s - began_s >= MOVEMENT_S {
+            self.done(Block { kind, start_s: began_s - LEAD_S, end_s: rest_s });
+        } else {
+            asked.into_iter().for_each(|index| self.turns[index].began_s = None);
         }
     }
 
@@ -294,9 +289,14 @@ impl Guide {
         Some(Contradiction::Instead { movement: kind.name(), asked: asked.name(), moved: moved.name() })
     }
 
-    fn done(&mut self, block: Block) {
-        (self.still_since_s, self.moving_since_s, self.rest_since_s) = (None, None, None);
+    /// Whatever was held or done before counts no more.
+    fn begin_step(&mut self) {
+        self.still_since_s = None;
         self.turns = [Turn::default(); SEGMENTS];
+    }
+
+    fn done(&mut self, block: Block) {
+        self.begin_step();
         self.blocks.push(block);
         let is_pose = matches!(block.kind, BlockKind::NPose | BlockKind::TPose);
         let misplaced = self.trackers.as_mut().filter(|_| is_pose).and_then(|at| at.objection_to(block.kind));
