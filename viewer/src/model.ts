@@ -1,7 +1,7 @@
 // What the daemon has said: the newest state of each topic, a short history for curves and trails, the last events.
 // Bounded: it never grows over hours.
 
-import type { Change, HelloBody, ExerciseEventMessage, FaultEvent, FaultMap, FigureMessage, Hello, JobsMessage, KeyPoseMessage, MotionSegmentMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage, Vec3 } from "./protocol";
+import type { Change, ExerciseEventMessage, FaultEvent, FaultMap, FigureMessage, Hello, HelloBody, JobsMessage, KeyPoseMessage, MotionSegmentMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage, Vec3 } from "./protocol";
 import { Rows } from "./rows";
 
 /** Seconds of history for curves. */

@@ -123,6 +123,7 @@ export class BodyFigure {
   private readonly reasons = new Labels();
   private said: string[] = [];
   private readonly offset = new THREE.Vector3();
+  private painted = "";
 
   /** A ghost is see-through, whatever its segments' states. */
   constructor(kind: "person" | "ghost" = "person") {
@@ -153,9 +154,10 @@ export class BodyFigure {
 
   /** The colour of segments that are as they should be, "#rrggbb". */
   paint(colour: string): void {
+    if (colour === this.painted) return;
+    this.painted = colour;
     for (const state of ["ok", "inferred"] as const) {
-      const material = this.materials[state];
-      if (material instanceof THREE.MeshStandardMaterial && material !== GHOST) material.color.set(colour);
+      (this.materials[state] as THREE.MeshStandardMaterial).color.set(colour);
     }
   }
 

@@ -48,8 +48,7 @@ export class StageView implements View {
     }
     this.transmitter.add(this.field.group);
     // So that the switch hides what a message would show.
-    const figure = new Group().add(this.everybody);
-    this.scene.scene.add(this.transmitter, this.sensors.group, figure, this.truth.group, this.screws.group);
+    this.scene.scene.add(this.transmitter, this.sensors.group, this.everybody, this.truth.group, this.screws.group);
     context.model.listen((message) => {
       if (message.type === "hello") {
         this.introduce(message);
@@ -87,7 +86,7 @@ export class StageView implements View {
     this.element.append(
       this.scene.canvas,
       el("aside", {}, el("details", { open: !matchMedia(NARROW).matches }, el("summary", {}, "Sensors and layers"), this.summary, this.bodySummary,
-        layer("body", figure, true),
+        layer("body", this.everybody, true),
         layer("names", this.sensors.labels.group, true),
         layer("trails", this.sensors.trails.group, true),
         layer("uncertainty, two sigma", this.sensors.sigma, true),
@@ -104,9 +103,9 @@ export class StageView implements View {
   /** A figure for each of the stage's bodies. */
   private introduce({ bodies }: Hello): void {
     this.everybody.clear();
-    this.figures.clear();
     for (const { name, color } of bodies) {
-      const figure = new BodyFigure();
+      // Whom a connection before has shown already: what is drawn takes memory of the graphics.
+      const figure = this.figures.get(name) ?? new BodyFigure();
       figure.paint(color);
       this.figures.set(name, figure);
       this.everybody.add(figure.group);
