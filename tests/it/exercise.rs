@@ -106,7 +106,7 @@ fn repetitions<'a>(emitted: &'a [Said], subject: &str) -> Vec<&'a Repetition> {
         .collect()
 }
 
-fn counts(emitted: &[Said], subject: &str) -> Vec<u64> {
+pub(crate) fn counts(emitted: &[Said], subject: &str) -> Vec<u64> {
     let counted = |it: &&Repetition| it.kind == EventKind::Counted;
     repetitions(emitted, subject).into_iter().filter(counted).map(|it| it.count).collect()
 }
@@ -423,24 +423,37 @@ pub(crate) fn wearer(
     stage: &Stage,
     span_s: Range<f64>,
 ) -> (Vec<String>, Vec<f64>, Vec<Option<f64>>) {
-    let (all, columns) = (signals::columns_of(stage), signals::columns_of_wearer(stage, 0));
+    let columns = signals::columns_of_wearer(stage, 0);
+    let (t_s, values) = said_in(rig, stage, &columns, span_s);
+    (columns, t_s, values)
+}
+
+/// Times and rows of these columns of the stage.
+pub(crate) fn said_in(
+    rig: &Rig,
+    stage: &Stage,
+    columns: &[String],
+    span_s: Range<f64>,
+) -> (Vec<f64>, Vec<Option<f64>>) {
+    let all = signals::columns_of(stage);
     let kept: Vec<usize> =
         columns.iter().filter_map(|column| all.iter().position(|other| other == column)).collect();
     let angles = BodyColumns::of(stage);
-    let (mut t_s, mut values, mut row, mut body) = (Vec::new(), Vec::new(), Vec::new(), None);
+    let (mut t_s, mut values, mut row, mut newest) = (Vec::new(), Vec::new(), Vec::new(), BTreeMap::new());
     for emitted in &rig.emitted {
         match emitted {
-            Said::Body(newest) => body = Some(&**newest),
+            Said::Body(body) => _ = newest.insert(body.index, &**body),
             Said::Estimate(estimate) if span_s.contains(&estimate.t_valid.as_secs_f64()) => {
                 t_s.push(estimate.t_valid.as_secs_f64());
                 signals::write(estimate, &mut row);
-                angles.append(|_| body, estimate, &mut row);
+                angles.append(|body| newest.get(&body).copied(), estimate, &mut row);
+                assert_eq!(row.len(), all.len());
                 values.extend(kept.iter().map(|column| row[*column]));
             }
             _ => {}
         }
     }
-    (columns, t_s, values)
+    (t_s, values)
 }
 
 /// The stage of `posed demo`: its person does three sets of five curls, with rests of five seconds between.

@@ -5,14 +5,15 @@ use std::collections::BTreeMap;
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_fusion::body::{ANGLE_NAMES, BodySegment};
 use posed_geometry::orientation_from_wxyz;
-use posed_motion::exercise::{EventKind, Exercise, Options, Stream, teach};
+use posed_motion::exercise::{Exercise, Options, Stream, teach};
 use posed_pipeline::Pipeline;
 use posed_simulator::body::Activity;
 use posed_stage::Stage;
 use posed_stage::input::{Entry, Input, Model, Plan, Request};
-use posed_stage::output::{Body, ExerciseWhat, OutcomeKind};
-use posed_stage::signals::{self, BodyColumns};
+use posed_stage::output::Body;
+use posed_stage::signals;
 
+use crate::exercise::{counts, said_in};
 use posed_rig::{Member, Rig, Said, people, replay};
 
 const ANNA_AND_BERT: &[Member] = &[("anna", 1.6, Activity::Squats), ("bert", 1.9, Activity::Curls)];
@@ -94,26 +95,11 @@ fn a_heading_is_reset_for_one_of_them() {
 
 /// Taught from one person's joints.
 fn taught(rig: &Rig, stage: &Stage, body: &str) -> Exercise {
-    let all = signals::columns_of(stage);
-    let angles = BodyColumns::of(stage);
-    let (mut newest, mut row) = (BTreeMap::new(), Vec::new());
-    let (mut t_s, mut values) = (Vec::new(), Vec::new());
     let prefix = format!("{body}.");
-    let own: Vec<usize> = (0..all.len()).filter(|at| all[*at].starts_with(&prefix)).collect();
-    let columns: Vec<String> = own.iter().map(|at| all[*at][prefix.len()..].to_owned()).collect();
-    for said in &rig.emitted {
-        match said {
-            Said::Body(body) => _ = newest.insert(body.index, &**body),
-            Said::Estimate(estimate) => {
-                signals::write(estimate, &mut row);
-                angles.append(|index| newest.get(&index).copied(), estimate, &mut row);
-                assert_eq!(row.len(), all.len());
-                t_s.push(estimate.t_valid.as_secs_f64());
-                values.extend(own.iter().map(|at| row[*at]));
-            }
-            _ => {}
-        }
-    }
+    let own: Vec<String> =
+        signals::columns_of(stage).into_iter().filter(|column| column.starts_with(&prefix)).collect();
+    let (t_s, values) = said_in(rig, stage, &own, 0.0..f64::MAX);
+    let columns: Vec<String> = own.iter().map(|column| column[prefix.len()..].to_owned()).collect();
     let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
     let lesson = |repetitions| {
         let options = Options { name: "squat".into(), repetitions, ..Options::default() };
@@ -124,10 +110,11 @@ fn taught(rig: &Rig, stage: &Stage, body: &str) -> Exercise {
 
 #[test]
 fn an_exercise_of_one_person_is_counted_for_everybody() {
-    let squats = |height_m| (height_m, Activity::Squats);
-    let [anna, clara] = [squats(1.6), squats(1.9)];
-    let cast = [("anna", anna.0, anna.1), ("bert", 1.7, Activity::Curls), ("clara", clara.0, clara.1)];
-    let (stage, scenario) = people(&cast);
+    let (stage, scenario) = people(&[
+        ("anna", 1.6, Activity::Squats),
+        ("bert", 1.7, Activity::Curls),
+        ("clara", 1.9, Activity::Squats),
+    ]);
     let mut rig = Rig::new(&stage, &scenario);
     rig.run_until(14.0);
     let squat = taught(&rig, &stage, "anna");
@@ -148,18 +135,9 @@ fn an_exercise_of_one_person_is_counted_for_everybody() {
     rig.push(Input::Request(select("patient 8", Some("bert"))));
     assert_eq!(rig.pipeline.status().requests_refused, 0);
     rig.run_until(26.0);
-    let is_of = |said: &Said, of: &str| match said {
-        Said::Outcome(outcome) => match &outcome.what {
-            OutcomeKind::Exercise(exercise) if &*exercise.subject == of => {
-                matches!(&exercise.what, ExerciseWhat::Repetition(it) if it.kind == EventKind::Counted)
-            }
-            _ => false,
-        },
-        _ => false,
-    };
-    let counted = |of: &str| rig.emitted.iter().filter(|said| is_of(said, of)).count();
-    let counts = ["anna", "clara", "patient 7"].map(counted);
-    assert!(counts.iter().all(|count| *count >= 2), "{counts:?}");
+    let counted = |of: &str| counts(&rig.emitted, of).len();
+    let repetitions = ["anna", "clara", "patient 7"].map(counted);
+    assert!(repetitions.iter().all(|count| *count >= 2), "{repetitions:?}");
     assert_eq!(["bert", "patient 8", "default"].map(counted), [0; 3]);
 }
 

@@ -1,9 +1,9 @@
 //! A simulated person follows the guide, from any moment on, and makes the mistakes that people make.
 
 use nalgebra::UnitQuaternion;
-use posed_simulator::body::{Activity, Build, Mistake, Script, SensorErrors, Wearer, WearerSpec};
+use posed_simulator::body::{Activity, Mistake, Script, SensorErrors, Wearer, WearerSpec};
 
-use super::tests::record;
+use super::tests::{record, spec};
 use super::*;
 
 struct Case {
@@ -18,18 +18,20 @@ struct Case {
     seed: u64,
 }
 
+/// Somebody who does this from the beginning on, and looks along the room's x.
+fn ahead(activity: Activity) -> Script {
+    Script { activity, calibration: false, facing: 0.0, mistake: None }
+}
+
 /// What was objected to, in the end too, and the worst mounting, degrees.
 fn guided(case: &Case) -> (Vec<String>, Option<f64>) {
+    let script = Script { activity: case.activity, calibration: false, facing: 0.6, mistake: case.mistake };
     let mut wearer = Wearer::new(WearerSpec {
-        script: Script { activity: case.activity, calibration: false, facing: 0.6, mistake: case.mistake },
-        build: Build::of_height(1.8),
-        errors: SensorErrors::calibrated(),
         magnetometer: case.magnetometer,
-        disturbances: Vec::new(),
         // As slow as a guide may be fed: these are minutes of many people.
         rate_hz: 50.0,
         clumsiness_rad: case.clumsiness_rad,
-        seed: case.seed,
+        ..spec(script, case.seed)
     });
     record(&mut wearer, case.begin_s);
     let mut guide = Guide::new([true; SEGMENTS], case.magnetometer, case.how);
@@ -130,16 +132,8 @@ fn people_who_stand_as_people_do_hear_nothing() {
 
 #[test]
 fn a_unit_that_must_be_calibrated_itself_is_named_in_the_end_and_nobody_poses_in_vain() {
-    let mut wearer = Wearer::new(WearerSpec {
-        script: Script { activity: Activity::Poses, calibration: false, facing: 0.0, mistake: None },
-        build: Build::of_height(1.8),
-        errors: SensorErrors { gyro_bias_rad_s: 0.045, ..SensorErrors::calibrated() },
-        magnetometer: true,
-        disturbances: Vec::new(),
-        rate_hz: 100.0,
-        clumsiness_rad: 0.0,
-        seed: 3,
-    });
+    let errors = SensorErrors { gyro_bias_rad_s: 0.045, ..SensorErrors::calibrated() };
+    let mut wearer = Wearer::new(WearerSpec { errors, ..spec(ahead(Activity::Poses), 3) });
     let mut guide = Guide::new([true; SEGMENTS], true, Thoroughness::Quick);
     record(&mut wearer, 25.0).0.iter().for_each(|(t_s, samples)| guide.push(*t_s, samples));
     assert_eq!((guide.prompt(), guide.objection()), (None, (0, None)));
@@ -151,16 +145,8 @@ fn a_unit_that_must_be_calibrated_itself_is_named_in_the_end_and_nobody_poses_in
 /// Who bends the right knee and wears the sensors of the shanks the wrong way round hears at once that the left one moved, and is not asked for ever.
 #[test]
 fn what_moves_in_the_place_of_what_was_asked_for_is_named() {
-    let mut wearer = Wearer::new(WearerSpec {
-        script: Script { activity: Activity::Bends, calibration: false, facing: 0.0, mistake: None },
-        build: Build::of_height(1.8),
-        errors: SensorErrors::calibrated(),
-        magnetometer: true,
-        disturbances: Vec::new(),
-        rate_hz: 50.0,
-        clumsiness_rad: 0.02,
-        seed: 3,
-    });
+    let slow = WearerSpec { rate_hz: 50.0, clumsiness_rad: 0.02, ..spec(ahead(Activity::Bends), 3) };
+    let mut wearer = Wearer::new(slow);
     let mut guide = Guide::new([true; SEGMENTS], true, Thoroughness::Full);
     for (t_s, mut samples) in record(&mut wearer, 90.0).0 {
         samples.swap(BodySegment::ShankR.index(), BodySegment::ShankL.index());
@@ -177,16 +163,7 @@ fn what_moves_in_the_place_of_what_was_asked_for_is_named() {
 /// A sensor that is off is named at once, and nobody poses for it in vain; once it is on, the guide goes on.
 #[test]
 fn nothing_goes_on_while_a_sensor_is_silent() {
-    let mut wearer = Wearer::new(WearerSpec {
-        script: Script { activity: Activity::Poses, calibration: false, facing: 0.0, mistake: None },
-        build: Build::of_height(1.8),
-        errors: SensorErrors::calibrated(),
-        magnetometer: true,
-        disturbances: Vec::new(),
-        rate_hz: 50.0,
-        clumsiness_rad: 0.0,
-        seed: 3,
-    });
+    let mut wearer = Wearer::new(WearerSpec { rate_hz: 50.0, ..spec(ahead(Activity::Poses), 3) });
     let mut guide = Guide::new([true; SEGMENTS], true, Thoroughness::Quick);
     for (t_s, mut samples) in record(&mut wearer, 60.0).0 {
         if t_s < 30.0 {

@@ -86,16 +86,21 @@ fn wearer(activity: Activity, magnetometer: bool, seed: u64) -> Wearer {
 }
 
 pub(super) fn wearer_of(script: Script, magnetometer: bool, seed: u64) -> Wearer {
-    Wearer::new(WearerSpec {
+    Wearer::new(WearerSpec { magnetometer, ..spec(script, seed) })
+}
+
+/// Somebody of 1.8 m who stands exactly straight, with calibrated sensors at 100 Hz in a field.
+pub(super) fn spec(script: Script, seed: u64) -> WearerSpec {
+    WearerSpec {
         script,
         build: Build::of_height(1.8),
         errors: SensorErrors::calibrated(),
-        magnetometer,
+        magnetometer: true,
         disturbances: Vec::new(),
         rate_hz: 100.0,
         clumsiness_rad: 0.0,
         seed,
-    })
+    }
 }
 
 fn script(activity: Activity) -> Script {
@@ -549,16 +554,7 @@ fn joints_nees(
                 Known::Exactly => 0.0,
                 Known::ByCalibration { clumsiness_rad, .. } => clumsiness_rad,
             };
-            let mut wearer = Wearer::new(WearerSpec {
-                script: script(*activity),
-                build: Build::of_height(1.8),
-                errors: SensorErrors::calibrated(),
-                magnetometer: true,
-                disturbances: Vec::new(),
-                rate_hz: 100.0,
-                clumsiness_rad,
-                seed,
-            });
+            let mut wearer = Wearer::new(WearerSpec { clumsiness_rad, ..spec(script(*activity), seed) });
             let skeleton = Skeleton::from_height(1.8);
             let (recording, truth) = record(&mut wearer, until_s);
             let mounts = match known {
