@@ -1,6 +1,6 @@
 //! What a guided calibration makes of people who do something else than it asks for: the table of `docs/body.md`.
 //!
-//! Each person begins with what is wrong, and does everything right from the second round on, as people do once they have been told.
+//! Each person begins with what is wrong, and does everything right from the second round on, as people do once they have been warned.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_fusion::ahrs::ImuSample;
@@ -83,13 +83,13 @@ const HOWS: [(&str, Thoroughness, Activity, bool); 4] = [
 /// How it ended.
 #[derive(Clone, Debug, PartialEq)]
 enum Ended {
-    /// It was told, there or in the end, what is wrong; and if something was used, that was right.
+    /// It was warned, there or in the end, of what is wrong; and if something was used, that was right.
     Noticed,
     /// Nothing was said, and what is used is right all the same.
     Right,
     /// Nothing was said, and what is used is wrong by so much, degrees.
     Wrong(f64),
-    /// It was told, did another thing than it was asked for then, and in the end something wrong is used all the same, degrees: who is asked for the right knee, and goes
+    /// It was warned, did another thing than it was asked for then, and in the end something wrong is used all the same, degrees: who is asked for the right knee, and goes
     /// on with the left one.
     StillWrong(f64),
 }
@@ -111,7 +111,7 @@ fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool
         (0..(7.0 * RATE_HZ) as usize).for_each(|_| _ = wearer.step());
     }
     let mut guide = Guide::new([true; SEGMENTS], magnetometer, how);
-    let mut told = false;
+    let mut warned = false;
     let mut gripped = false;
     for step in 0..(LONGEST_S * RATE_HZ) as usize {
         let t_s = step as f64 / RATE_HZ;
@@ -146,14 +146,14 @@ fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool
             _ => {}
         }
         guide.push(t_s, &samples);
-        told |= guide.objection().0 > 0 || guide.silent().next().is_some();
+        warned |= guide.objection().0 > 0 || guide.silent().next().is_some();
         if guide.prompt().is_none() {
             break;
         }
     }
     if guide.prompt().is_some() {
-        // Who is told what is wrong and never does it right; or who is told nothing, and gives up.
-        return if told { Ended::Noticed } else { Ended::Wrong(f64::INFINITY) };
+        // Who is warned and never does it right; or who is not, and gives up.
+        return if warned { Ended::Noticed } else { Ended::Wrong(f64::INFINITY) };
     }
     let Ok((mounts, places)) = solved(&guide, how) else { return Ended::Noticed };
     let worst_deg = BodySegment::ALL.into_iter().fold(0.0, |worst: f64, segment| {
@@ -170,7 +170,7 @@ fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool
         let truth = wearer.mounting(segment.index()).0 * grip.inverse();
         worst.max(mount.angle_to(&truth).to_degrees())
     });
-    match (told, worst_deg > WRONG_DEG) {
+    match (warned, worst_deg > WRONG_DEG) {
         (true, false) => Ended::Noticed,
         (false, false) => Ended::Right,
         (true, true) => Ended::StillWrong(worst_deg),
@@ -233,12 +233,12 @@ pub(super) fn table() {
                 Ended::Wrong(deg) | Ended::StillWrong(deg) => worst.max(*deg),
                 _ => worst,
             });
-            let told = count(|ended| matches!(ended, Ended::StillWrong(_)));
-            let wrong = SEEDS as usize - noticed - right - told;
-            let words = [(noticed, "noticed"), (right, "right"), (told, "told, used"), (wrong, "wrong")];
+            let warned = count(|ended| matches!(ended, Ended::StillWrong(_)));
+            let wrong = SEEDS as usize - noticed - right - warned;
+            let words = [(noticed, "noticed"), (right, "right"), (warned, "warned, used"), (wrong, "wrong")];
             let words = words.into_iter().filter(|(count, _)| *count > 0);
             let words: Vec<String> = words.map(|(count, word)| format!("{count} {word}")).collect();
-            let worst = if wrong + told > 0 { format!(" ({worst_deg:.0})") } else { String::new() };
+            let worst = if wrong + warned > 0 { format!(" ({worst_deg:.0})") } else { String::new() };
             format!("{}{worst}", words.join(", "))
         });
         emit(&format!("| {name} | {} |", cells.join(" | ")));
