@@ -730,7 +730,7 @@ export type FigureMessage = {
   heading: HeadingSource;
   /** For how long it has been held without a field that is believed, s; 0 otherwise. */
   heading_held_s: number;
-  /** Standard deviation of the heading, degrees: a calibrated magnetometer's, or how far calibrated gyros drift since a field told it last, or since `heading.reset`; null where it is not known. */
+  /** Standard deviation of the heading, degrees: a calibrated magnetometer's, or how far calibrated gyros drift since a field last identified it, or since `heading.reset`; null where it is not known. */
   heading_sigma_deg: number | null;
   /** The joints between them. */
   joints: JointEntry[];

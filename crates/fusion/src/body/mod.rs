@@ -164,7 +164,7 @@ pub struct BodyEstimate {
     pub faults: [Option<Cause>; SEGMENTS],
     /// Where the heading comes from.
     pub heading: Heading,
-    /// Its standard deviation, rad: a calibrated magnetometer's, or how far gyros that a rest has calibrated drift since a field told it last, or since it
+    /// Its standard deviation, rad: a calibrated magnetometer's, or how far gyros that a rest has calibrated drift since a field last identified it, or since it
     /// was reset. Pi where it is unknown.
     pub heading_sigma_rad: f64,
     /// Where the hips are by the feet; `None` unless sensors have shown the pelvis and both legs.

@@ -20,7 +20,7 @@ pub struct Figure {
     pub heading: HeadingSource,
     /// For how long it has been held without a field that is believed, s; 0 otherwise.
     pub heading_held_s: f64,
-    /// Standard deviation of the heading, degrees: a calibrated magnetometer's, or how far calibrated gyros drift since a field told it last, or since
+    /// Standard deviation of the heading, degrees: a calibrated magnetometer's, or how far calibrated gyros drift since a field last identified it, or since
     /// `heading.reset`; null where it is not known.
     #[serde(default)]
     pub heading_sigma_deg: Option<f64>,
