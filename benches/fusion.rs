@@ -19,7 +19,7 @@ fn sample(t: f64) -> ImuSample {
 
 fn geometry() -> LimbGeometry {
     LimbGeometry {
-        mount_sigma_rad: [0.0; 2],
+        mount_sigma_rad: [Vector3::zeros(); 2],
         base_to_joint_m: Vector3::new(0.0, 0.4, 0.18),
         upper_imu_m: Vector3::new(0.03, -0.15, 0.04),
         upper_to_lower_m: Vector3::new(0.0, -0.3, 0.0),

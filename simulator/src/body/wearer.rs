@@ -117,6 +117,9 @@ pub struct WearerSpec {
     pub seed: u64,
 }
 
+/// How long a strap takes to slip, s.
+const SLIP_S: f64 = 0.3;
+
 /// What one sensor measures at one time, in its own axes, with its errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
@@ -141,6 +144,8 @@ pub struct Truth {
 #[derive(Clone, Debug)]
 struct Unit {
     mount: UnitQuaternion<f64>,
+    /// When its strap began to slip, s, and by which rotation vector, segment axes, rad.
+    slip: Option<(f64, Vector3<f64>)>,
     offset_m: Vector3<f64>,
     gyro: (Matrix3<f64>, Vector3<f64>),
     accel: (Matrix3<f64>, Vector3<f64>),
@@ -187,6 +192,7 @@ impl Wearer {
             };
             Unit {
                 mount: UnitQuaternion::from_scaled_axis(vector(1.0)),
+                slip: None,
                 offset_m: Vector3::new(forward_m, -0.5 * length_m, 0.0) + vector(0.02),
                 gyro: (matrix(vector(e.scale), vector(e.scale), vector(e.scale)), vector(e.gyro_bias_rad_s)),
                 accel: (matrix(vector(e.scale), vector(e.scale), vector(e.scale)), vector(e.accel_bias_m_s2)),
@@ -213,14 +219,15 @@ impl Wearer {
         (self.units[segment].mount, self.units[segment].offset_m)
     }
 
-    /// Turns the sensor on a segment (index in [`SEGMENT_NAMES`]) by a rotation vector in segment axes, rad: a strap that
-    /// slipped. Its place stays.
+    /// From now on, in 0.3 s, turns the sensor on a segment (index in [`SEGMENT_NAMES`]) by a rotation vector in segment axes, rad: a strap that slips, as its
+    /// gyro shows. [`Self::mounting`] is the new one at once. Its place stays.
     ///
     /// # Panics
     /// There is no such segment.
     pub fn slip(&mut self, segment: usize, rotation_vector_rad: Vector3<f64>) {
         let unit = &mut self.units[segment];
         unit.mount = UnitQuaternion::from_scaled_axis(rotation_vector_rad) * unit.mount;
+        unit.slip = Some((self.frame as f64 / self.spec.rate_hz, rotation_vector_rad));
     }
 
     /// The next frame, `1 / rate_hz` after the last: the sample of each segment's sensor, in the order of [`SEGMENT_NAMES`], and
@@ -254,8 +261,10 @@ impl Wearer {
             let axes = times[2][index].axes;
             // Skin: an over-damped play that follows the acceleration and turns the sensor with it.
             let play = axes.transpose() * accel * -errors.skin_m;
-            let mount = UnitQuaternion::from_scaled_axis(unit.skin * play) * unit.mount;
+            let (slipped, slips_rad_s) = unit.slipping(t_s);
+            let mount = UnitQuaternion::from_scaled_axis(unit.skin * play) * slipped;
             let back = mount.inverse();
+            let angular_velocity_rad_s = angular_velocity_rad_s + slips_rad_s;
             let mut noise = |sigma: f64| Vector3::from_fn(|_, _| sigma * unit.noise.normal());
             let specific_force_m_s2 = axes.transpose() * (accel + Vector3::z() * GRAVITY_M_S2);
             Sample {
@@ -270,6 +279,18 @@ impl Wearer {
             }
         });
         (samples, Truth { t_s, body: times[2] })
+    }
+}
+
+impl Unit {
+    /// How it sits at a time, and the angular velocity at which its strap slips, segment axes, rad/s: evenly sped up and slowed down.
+    fn slipping(&self, t_s: f64) -> (UnitQuaternion<f64>, Vector3<f64>) {
+        let Some((from_s, rotation_vector_rad)) = self.slip else { return (self.mount, Vector3::zeros()) };
+        let part = ((t_s - from_s) / SLIP_S).clamp(0.0, 1.0);
+        let turned = 0.5 * (1.0 - libm::cos(std::f64::consts::PI * part));
+        let rate = 0.5 * std::f64::consts::PI / SLIP_S * libm::sin(std::f64::consts::PI * part);
+        let left = UnitQuaternion::from_scaled_axis(rotation_vector_rad * (turned - 1.0));
+        (left * self.mount, rotation_vector_rad * rate)
     }
 }
 

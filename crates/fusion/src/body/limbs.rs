@@ -22,6 +22,11 @@ const NORTH: FieldReference =
 /// middle of a movement. It finds no way back, and begins anew.
 const ASTRAY_RAD: f64 = 0.5;
 const ASTRAY_S: f64 = 1.0;
+/// A sensor that does not fit for so long, s, has slipped; then so long is waited for what its movements show.
+const LOOSE_S: f64 = 0.5;
+const PATIENCE_S: f64 = 10.0;
+/// A mounting that is known so well again has been found, rad.
+const FOUND_RAD: f64 = 0.12;
 /// Elbow: flexion, pronation; knee: flexion; degrees. Some degrees beyond the anatomy of algorithms as written, because the
 /// zero of a calibration is only as good as the pose that was held.
 const ELBOW_DEG: [[f64; 2]; 2] = [[-8.0, -95.0], [158.0, 95.0]];
@@ -46,10 +51,8 @@ impl LimbGeometry {
             lower_imu_m: offset_m(lower),
             upper_mount: mount(upper),
             lower_mount: mount(lower),
-            mount_sigma_rad: [upper, lower].map(|segment| {
-                let sigma_rad = mounts[segment.index()].map_or_else(Vector3::zeros, |mount| mount.sigma_rad);
-                (sigma_rad.norm_squared() / 3.0).sqrt()
-            }),
+            mount_sigma_rad: [upper, lower]
+                .map(|segment| mounts[segment.index()].map_or_else(Vector3::zeros, |mount| mount.sigma_rad)),
         }
     }
 }
@@ -104,6 +107,8 @@ pub(super) struct LimbFilter {
     offsets_rad_s: [Vector3<f64>; 2],
     /// For so long both of its sensors have said otherwise, s.
     astray_s: f64,
+    /// For so long the sensor of the upper and of the lower segment has not fitted, s; negative: so long is waited after a strap was taken for slipped.
+    loose_s: [f64; 2],
     filter: Filter,
 }
 
@@ -122,6 +127,7 @@ impl LimbFilter {
             mounted: [upper, lower].map(|segment| mounts[segment.index()].is_some()),
             offsets_rad_s: [Vector3::zeros(); 2],
             astray_s: 0.0,
+            loose_s: [0.0; 2],
             filter: Filter::Waiting,
         }
     }
@@ -166,8 +172,38 @@ impl LimbFilter {
             if rests {
                 limb.observe_rest();
             }
+            self.geometry = *limb.geometry();
             reports
         })
+    }
+
+    /// How the sensor of the upper (0) or lower (1) segment sits, as far as the limb's movements have shown it; what was given as exact stays.
+    pub(super) fn refine(&self, which: usize, mount: &mut SensorMount) {
+        let g = &self.geometry;
+        let (q_segment_sensor, offset_m) =
+            [(g.upper_mount, g.upper_imu_m), (g.lower_mount, g.lower_imu_m)][which];
+        if mount.sigma_rad != Vector3::zeros() {
+            *mount =
+                SensorMount { q_segment_sensor, offset_m, sigma_rad: g.mount_sigma_rad[which], ..*mount };
+        }
+    }
+
+    /// The sensor of the upper (0) or lower (1) segment does not fit, or does, for `dt_s`.
+    pub(super) fn watch(&mut self, which: usize, misfit: bool, dt_s: f64) {
+        let loose_s = &mut self.loose_s[which];
+        *loose_s = if misfit || *loose_s < 0.0 { *loose_s + dt_s } else { 0.0 };
+        if *loose_s > LOOSE_S {
+            *loose_s = -PATIENCE_S;
+            // An elbow, which has two axes, does not show which of its two sensors it is.
+            let arm = matches!(self.limb, Limb::ArmR | Limb::ArmL);
+            for loose in (0..2).filter(|one| arm || *one == which) {
+                with_limb!(&mut self.filter, (), limb => limb.loosen(loose));
+            }
+        } else if *loose_s < 0.0 && self.geometry.mount_sigma_rad[which].norm() < FOUND_RAD {
+            // What it showed before it was found how the sensor sits now, the limb finds no way back from.
+            *loose_s = 0.0;
+            self.restart();
+        }
     }
 
     /// Begins anew from its sensors' own orientations.
@@ -228,6 +264,13 @@ impl LimbFilter {
     /// begun.
     pub(super) fn rotations_rad2(&self) -> Option<[Matrix3<f64>; 2]> {
         with_limb!(&self.filter, None, limb => Some(limb.rotations_rad2()))
+    }
+
+    /// Length of the upper segment as far as its movements have shown it, and its standard deviation, m; `None` before it has begun, and where it was given as
+    /// exact.
+    pub(super) fn upper_length_m(&self) -> Option<(f64, f64)> {
+        let sigma_m = with_limb!(&self.filter, None, limb => limb.length_sigma_m())?;
+        Some((self.geometry.upper_to_lower_m.norm(), sigma_m))
     }
 
     /// Uncertainty of the upper (0) or lower (1) segment about an axis, rad.

@@ -11,6 +11,9 @@
 //! limbs:          sensor ──> ahrs ── heading only ──┐
 //!                 sensor ── gyro, accelerometer ────┴> limb ──> joint angles ──> segment orientations
 //! ```
+//! How the sensors of limbs sit, and how long thighs and upper arms are, their filters learn from the movements, beginning with what a calibration has found;
+//! what was given as exact stays. A sensor that does not fit any more has slipped, and how it sits is found anew.
+//!
 //! The heading of a limb's sensor comes through its own orientation filter, whose eleven states tell a disturbance
 //! of the room from a magnet on the sensor; the limb sees it as an azimuth that cannot tilt anything. Without
 //! a magnetometer the headings hold by the gyros, the hinges of elbow and knee and rests; [`Heading::Held`] says so.
@@ -272,9 +275,19 @@ impl BodyFilter {
         }
     }
 
-    /// How the sensors sit, by [`BodySegment::index`].
+    /// How the sensors sit, by [`BodySegment::index`]: those of limbs as their movements have shown it so far.
     pub fn mounts(&self) -> [Option<SensorMount>; SEGMENTS] {
         self.sensors.each_ref().map(|sensor| sensor.as_ref().map(|sensor| sensor.mount))
+    }
+
+    /// Lengths of thighs and upper arms and their standard deviations, m, by [`BodySegment::index`], as far as their movements have shown them; `None` for all other
+    /// segments, and where the mountings were given as exact.
+    pub fn lengths_m(&self) -> [Option<(f64, f64)>; SEGMENTS] {
+        let mut lengths_m = [None; SEGMENTS];
+        for (limb, filter) in Limb::ALL.into_iter().zip(&self.limbs) {
+            lengths_m[limb.segments()[1].index()] = filter.upper_length_m();
+        }
+        lengths_m
     }
 
     /// Lets every sensor wait for a field, for a second at most: magnetometers are slower than gyros, and limbs that begin with a
@@ -309,6 +322,11 @@ impl BodyFilter {
             let own = [orientations[upper.index()], orientations[lower.index()]];
             let pair = [samples[upper.index()], samples[lower.index()]];
             let reports = filter.push(&bases[trunk.index()], sensors, own, pair, dt_s);
+            for (which, segment) in [upper, lower].into_iter().enumerate() {
+                if let Some(sensor) = &mut self.sensors[segment.index()] {
+                    filter.refine(which, &mut sensor.mount);
+                }
+            }
             for ((segment, report), sample) in [upper, lower].into_iter().zip(reports).zip(pair) {
                 if let (Some(sensor), Some(sample), Some(nis)) =
                     (&mut self.sensors[segment.index()], sample, report.gyro_nis)
@@ -462,12 +480,11 @@ impl BodyFilter {
             let relative = filter.orientations();
             for (k, segment) in [upper, lower].into_iter().enumerate() {
                 out.orientations[segment.index()] = relative[k].map(|q| q_room_base * q);
-                // The filter knows of noise alone; the error of both sensors lasts.
-                let beside = [trunk, segment].map(|s| {
-                    self.sensors[s.index()].as_ref().map_or(0.0, |sensor| sensor.systematic_rad(self.held_s))
-                });
-                out.sigma_rad[segment.index()] =
-                    libm::hypot(libm::hypot(filter.sigma_rad(k), beside[0]), beside[1]);
+                // The filter knows of noise and of its own mountings alone; the other errors of both sensors last.
+                let sensors = [trunk, segment].map(|s| self.sensors[s.index()].as_ref());
+                let trunk = sensors[0].map_or(0.0, |sensor| sensor.systematic_rad(self.held_s));
+                let own = sensors[1].map_or(0.0, |sensor| sensor.unmounted_rad(self.held_s));
+                out.sigma_rad[segment.index()] = libm::hypot(libm::hypot(filter.sigma_rad(k), trunk), own);
             }
         }
         out.angles_rad = angles(&out.orientations);
@@ -484,6 +501,12 @@ impl BodyFilter {
             let body = out.orientations[index].filter(|_| settled);
             sensor.watch.agrees(own[index], body, sensor.magnetometer, dt_s);
             out.faults[index] = sensor.watch.fault();
+        }
+        for (limb, filter) in Limb::ALL.into_iter().zip(&mut self.limbs) {
+            let [_, upper, lower] = limb.segments();
+            for (which, segment) in [upper, lower].into_iter().enumerate() {
+                filter.watch(which, out.faults[segment.index()] == Some(Cause::Misfit), dt_s);
+            }
         }
         let trunk = [BodySegment::Torso, BodySegment::Pelvis]
             .into_iter()
@@ -511,8 +534,14 @@ impl Sensor {
     /// What calibrated sensors are systematically wrong by, rms about an axis, rad: the accelerometer's bias tilts, the magnetometer'
     /// iron turns the heading, or without a field the gyro's bias for `held_s`, and its mounting is as good as the calibration was.
     fn systematic_rad(&self, held_s: f64) -> f64 {
+        let mount = (self.mount.sigma_rad.norm_squared() / 3.0).sqrt();
+        libm::hypot(self.unmounted_rad(held_s), mount).min(std::f64::consts::PI)
+    }
+
+    /// The same without the mounting.
+    fn unmounted_rad(&self, held_s: f64) -> f64 {
         let [tilt, heading] = self.lasting_rad2(held_s);
-        ((2.0 * tilt + heading + self.mount.sigma_rad.norm_squared()) / 3.0).sqrt().min(std::f64::consts::PI)
+        ((2.0 * tilt + heading) / 3.0).sqrt().min(std::f64::consts::PI)
     }
 
     /// The same as variances of a tilt about each level axis and of the heading, rad².

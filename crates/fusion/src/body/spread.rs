@@ -110,11 +110,13 @@ impl BodyFilter {
                     Matrix3::identity() * tilt + up * up.transpose() * (heading - tilt)
                 })
                 .sum();
-            // A mounting is wrong in its segment's own axes, and stays so.
-            let mounted = |of: BodySegment| {
-                self.sensors[of.index()]
-                    .as_ref()
-                    .map_or_else(Matrix3::zeros, |sensor| sensor.mount.rotation_rad2())
+            // A mounting is wrong in its segment's own axes, and stays so; a limb's filter knows of its own.
+            let own = Limb::ALL.into_iter().map(|limb| limb.segments()).find(|of| of[1..].contains(&segment));
+            let mounted = |of: BodySegment| match &self.sensors[of.index()] {
+                Some(sensor) if !own.is_some_and(|own| own[1..].contains(&of)) => {
+                    sensor.mount.rotation_rad2()
+                }
+                _ => Matrix3::zeros(),
             };
             let from_above = (q.inverse() * above).to_rotation_matrix();
             let mounts = mounted(segment) + from_above * mounted(parent) * from_above.transpose();

@@ -12,8 +12,19 @@ use nalgebra::{Matrix3, SMatrix, UnitQuaternion, Vector3};
 
 use posed_geometry::so3::hat;
 
+use super::parameters::lever;
+
 /// Derivative of a vector with respect to N error states.
 pub(super) type Rows<const N: usize> = SMatrix<f64, 3, N>;
+
+/// One frame of a limb.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Frame {
+    /// To base.
+    pub(super) q: UnitQuaternion<f64>,
+    /// Derivative of the specific force with respect to the place at which it is felt, 1/s².
+    pub(super) lever: Matrix3<f64>,
+}
 
 /// Motion of one frame, in its own axes.
 #[derive(Clone, Debug)]
@@ -93,6 +104,11 @@ impl<const N: usize> Motion<N> {
         self.d_alpha.set_column(at[1], &across);
         self.d_alpha.set_column(at[2], axis);
         self.d_specific_force.set_column(at[0], &self.specific_force_m_s2.cross(axis));
+    }
+
+    /// The frame itself: to the base, and how the specific force depends on the place in it.
+    pub(super) fn frame(&self) -> Frame {
+        Frame { q: self.q_base_frame, lever: lever(&self.omega, &self.alpha) }
     }
 
     /// Moves the point at which the specific force is felt by `r`, m, within the frame.

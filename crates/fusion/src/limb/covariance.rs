@@ -6,11 +6,19 @@
 use nalgebra::{Matrix3, SMatrix, SVector};
 use posed_state::Plain;
 
-use super::wide::{product, subtract_both};
+use super::parameters::{ByParameters, PARAMETERS};
+use super::wide::{product, subtract, subtract_both};
 
-/// Covariance of N error states; exactly symmetric, and every step leaves it so.
+/// Covariance of N error states, as if the limb's parameters were right, and how wrong each state is by each of those.
 #[derive(Clone, Debug, PartialEq, Plain)]
-pub(super) struct Covariance<const N: usize>(pub(super) SMatrix<f64, N, N>);
+pub(super) struct Covariance<const N: usize> {
+    /// Exactly symmetric, and every step leaves it so.
+    pub(super) own: SMatrix<f64, N, N>,
+    /// Derivative of the states with respect to the parameters, one column per state; not kept where they are exact.
+    pub(super) by_parameters: SMatrix<f64, PARAMETERS, N>,
+    /// Whether it is kept.
+    pub(super) depends: bool,
+}
 
 /// What is known of M measurements before they are used.
 pub(super) struct Innovation<const M: usize, const N: usize> {
@@ -18,21 +26,34 @@ pub(super) struct Innovation<const M: usize, const N: usize> {
     pub(super) cross: SMatrix<f64, N, M>,
     /// Predicted covariance without the measurements' own noise.
     pub(super) predicted: SMatrix<f64, M, M>,
+    /// How they depend on the parameters: directly, and through the states.
+    pub(super) by_parameters: ByParameters<M>,
 }
 
 impl<const N: usize> Covariance<N> {
     /// From standard deviations.
     pub(super) fn from_sigmas(sigmas: SVector<f64, N>) -> Self {
-        Self(SMatrix::from_diagonal(&sigmas.component_mul(&sigmas)))
+        Self::of(SMatrix::from_diagonal(&sigmas.component_mul(&sigmas)))
     }
 
-    /// `P H'` and `H P H'`; columns of `h` from `columns` on are zero.
+    /// Of states that depend on no parameter.
+    pub(super) fn of(own: SMatrix<f64, N, N>) -> Self {
+        Self { own, by_parameters: SMatrix::zeros(), depends: false }
+    }
+
+    /// `P H'` and `H P H'`; columns of `h` from `columns` on are zero. `direct` is how the measurements depend on the parameters beside the states.
     pub(super) fn innovation<const M: usize>(
         &self,
         h: &SMatrix<f64, M, N>,
         columns: usize,
+        direct: &ByParameters<M>,
     ) -> Innovation<M, N> {
-        let cross = product(&self.0, h, columns);
+        let cross = product(&self.own, h, columns);
+        let by_parameters = if self.depends {
+            product(&self.by_parameters, h, columns) + direct
+        } else {
+            ByParameters::zeros()
+        };
         let mut predicted = SMatrix::<f64, M, M>::zeros();
         for j in 0..columns {
             for i in 0..M {
@@ -41,7 +62,7 @@ impl<const N: usize> Covariance<N> {
                 }
             }
         }
-        Innovation { cross, predicted }
+        Innovation { cross, predicted, by_parameters }
     }
 
     /// Kalman update in Joseph's form; returns the correction of the error state. `inverse` is that of the
@@ -67,7 +88,10 @@ impl<const N: usize> Covariance<N> {
         noise: &SVector<f64, M>,
     ) {
         let half = innovation.cross - gain * (innovation.covariance(noise) * 0.5);
-        subtract_both(&mut self.0, gain, &half);
+        subtract_both(&mut self.own, gain, &half);
+        if self.depends {
+            subtract(&mut self.by_parameters, &innovation.by_parameters, gain);
+        }
     }
 
     /// The three rows from `to` on become the sum of `factor` times the three rows from `from` on; columns likewise: three lines
@@ -75,35 +99,49 @@ impl<const N: usize> Covariance<N> {
     pub(super) fn combine_blocks(&mut self, to: usize, parts: &[(usize, Matrix3<f64>)]) {
         let mut columns = SMatrix::<f64, N, 3>::zeros();
         for (from, factor) in parts {
-            columns += self.0.fixed_view::<N, 3>(0, *from) * factor.transpose();
+            columns += self.own.fixed_view::<N, 3>(0, *from) * factor.transpose();
+        }
+        if self.depends {
+            let mut by = SMatrix::<f64, PARAMETERS, 3>::zeros();
+            for (from, factor) in parts {
+                by += self.by_parameters.fixed_view::<PARAMETERS, 3>(0, *from) * factor.transpose();
+            }
+            self.by_parameters.fixed_view_mut::<PARAMETERS, 3>(0, to).copy_from(&by);
         }
         let corner = parts.iter().map(|(from, factor)| factor * columns.fixed_view::<3, 3>(*from, 0));
         let corner: Matrix3<f64> = corner.sum();
         columns.fixed_view_mut::<3, 3>(to, 0).copy_from(&(0.5 * (corner + corner.transpose())));
-        self.0.fixed_view_mut::<N, 3>(0, to).copy_from(&columns);
-        self.0.fixed_view_mut::<3, N>(to, 0).copy_from(&columns.transpose());
+        self.own.fixed_view_mut::<N, 3>(0, to).copy_from(&columns);
+        self.own.fixed_view_mut::<3, N>(to, 0).copy_from(&columns.transpose());
     }
 
     /// Row `to` becomes `keep` times itself plus the sum of `factor * row(from)`; columns likewise: one line of
     /// `F P F'`. The rows named must not have been changed by the same prediction before.
     pub(super) fn combine(&mut self, to: usize, keep: f64, others: &[(usize, f64)]) {
-        let mut column = self.0.column(to) * keep;
+        let mut column = self.own.column(to) * keep;
         for &(from, factor) in others {
-            column.axpy(factor, &self.0.column(from), 1.0);
+            column.axpy(factor, &self.own.column(from), 1.0);
+        }
+        if self.depends {
+            let mut by = self.by_parameters.column(to) * keep;
+            for &(from, factor) in others {
+                by.axpy(factor, &self.by_parameters.column(from), 1.0);
+            }
+            self.by_parameters.set_column(to, &by);
         }
         let mut corner = keep * column[to];
         for &(from, factor) in others {
             corner += factor * column[from];
         }
         column[to] = corner;
-        self.0.set_column(to, &column);
-        self.0.set_row(to, &column.transpose());
+        self.own.set_column(to, &column);
+        self.own.set_row(to, &column.transpose());
     }
 }
 
 impl<const M: usize, const N: usize> Innovation<M, N> {
-    /// The innovation's covariance.
-    fn covariance(&self, noise: &SVector<f64, M>) -> SMatrix<f64, M, M> {
+    /// The innovation's covariance, as if the parameters were right.
+    pub(super) fn covariance(&self, noise: &SVector<f64, M>) -> SMatrix<f64, M, M> {
         let mut s = self.predicted;
         for i in 0..M {
             s[(i, i)] += noise[i];
@@ -113,26 +151,30 @@ impl<const M: usize, const N: usize> Innovation<M, N> {
 
     /// Its inverse; `None` where it is not positive.
     pub(super) fn inverse(&self, noise: &SVector<f64, M>) -> Option<SMatrix<f64, M, M>> {
-        let mut s = self.covariance(noise);
-        // Gauss-Jordan without pivots: a covariance needs none, and M is at most three.
-        let mut out = SMatrix::<f64, M, M>::identity();
-        for i in 0..M {
-            let pivot = s[(i, i)];
-            if !(pivot > 0.0 && pivot.is_finite()) {
-                return None;
-            }
+        inverse_of(self.covariance(noise))
+    }
+}
+
+/// Inverse of a covariance; `None` where it is not positive.
+pub(super) fn inverse_of<const M: usize>(mut s: SMatrix<f64, M, M>) -> Option<SMatrix<f64, M, M>> {
+    // Gauss-Jordan without pivots: a covariance needs none, and M is at most three.
+    let mut out = SMatrix::<f64, M, M>::identity();
+    for i in 0..M {
+        let pivot = s[(i, i)];
+        if !(pivot > 0.0 && pivot.is_finite()) {
+            return None;
+        }
+        for j in 0..M {
+            s[(i, j)] /= pivot;
+            out[(i, j)] /= pivot;
+        }
+        for k in (0..M).filter(|k| *k != i) {
+            let factor = s[(k, i)];
             for j in 0..M {
-                s[(i, j)] /= pivot;
-                out[(i, j)] /= pivot;
-            }
-            for k in (0..M).filter(|k| *k != i) {
-                let factor = s[(k, i)];
-                for j in 0..M {
-                    s[(k, j)] -= factor * s[(i, j)];
-                    out[(k, j)] -= factor * out[(i, j)];
-                }
+                s[(k, j)] -= factor * s[(i, j)];
+                out[(k, j)] -= factor * out[(i, j)];
             }
         }
-        Some(out)
     }
+    Some(out)
 }

@@ -29,8 +29,6 @@ pub(super) trait Joint<const N: usize> {
     fn predict(&mut self, p: &mut Covariance<N>, noise: &JointNoise, tau: f64, at: usize);
     /// Adds a correction of the error states.
     fn correct(&mut self, dx: &SVector<f64, N>, at: usize);
-    /// Covariance of the joint's rotation, in the axes of the frame behind it, rad².
-    fn rotation_rad2(&self, p: &Covariance<N>, at: usize) -> Matrix3<f64>;
     /// Columns of the joint's angular velocities.
     fn angular_velocity_columns(&self, at: usize) -> std::ops::Range<usize>;
     /// The angular velocity of a column of [`Self::angular_velocity_columns`], rad/s.
@@ -84,10 +82,6 @@ impl<const N: usize> Joint<N> for Ball {
         self.accel_rad_s2 += part(6);
     }
 
-    fn rotation_rad2(&self, p: &Covariance<N>, at: usize) -> Matrix3<f64> {
-        p.0.fixed_view::<3, 3>(at, at).into_owned()
-    }
-
     fn angular_velocity_columns(&self, at: usize) -> std::ops::Range<usize> {
         at + 3..at + 6
     }
@@ -133,6 +127,12 @@ impl<const K: usize> Axes<K> {
 }
 
 impl<const K: usize> Axes<K> {
+    /// Covariance of the joint's rotation, in the axes of the frame behind it, rad², from that of its angles.
+    pub(super) fn rotation_rad2_of(&self, angles_rad2: &SMatrix<f64, K, K>) -> Matrix3<f64> {
+        let rotation_axes = self.rotation_axes();
+        rotation_axes * angles_rad2 * rotation_axes.transpose()
+    }
+
     /// How the frame behind the joint turns with each angle, in its own axes: one a column.
     fn rotation_axes(&self) -> SMatrix<f64, 3, K> {
         let mut rotation_axes = self.axes;
@@ -180,11 +180,6 @@ impl<const K: usize, const N: usize> Joint<N> for Axes<K> {
         }
     }
 
-    fn rotation_rad2(&self, p: &Covariance<N>, at: usize) -> Matrix3<f64> {
-        let rotation_axes = self.rotation_axes();
-        rotation_axes * p.0.fixed_view::<K, K>(at, at) * rotation_axes.transpose()
-    }
-
     fn angular_velocity_columns(&self, at: usize) -> std::ops::Range<usize> {
         at + K..at + 2 * K
     }
@@ -211,7 +206,7 @@ fn add_jerk<const N: usize>(p: &mut Covariance<N>, columns: [usize; 3], jerk_rad
     );
     for (i, row) in columns.into_iter().enumerate() {
         for (j, column) in columns.into_iter().enumerate() {
-            p.0[(row, column)] += q * block[(i, j)];
+            p.own[(row, column)] += q * block[(i, j)];
         }
     }
 }

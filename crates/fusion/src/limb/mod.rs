@@ -15,12 +15,13 @@
 mod chain;
 mod covariance;
 mod joint;
+mod parameters;
 #[cfg(test)]
 mod tests;
 mod update;
 mod wide;
 
-use nalgebra::{Matrix3, SVector, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
 use posed_geometry::GRAVITY_M_S2;
 use posed_state::Plain;
 use serde::{Deserialize, Serialize};
@@ -30,6 +31,7 @@ use chain::Motion;
 use covariance::Covariance;
 use joint::Joint;
 pub use joint::{Axes, Ball, JointNoise};
+use parameters::{Learning, PARAMETERS};
 pub use update::{FieldReference, SensorReport};
 
 /// Arm: ball joint and two axes (flexion, pronation), with gyro biases.
@@ -83,8 +85,9 @@ pub struct LimbGeometry {
     pub upper_mount: UnitQuaternion<f64>,
     /// Lower sensor to lower segment: sensor-to-segment alignment.
     pub lower_mount: UnitQuaternion<f64>,
-    /// How well both are known, rms about an axis, rad: what a gyro shows across the joints by that is no movement of theirs.
-    pub mount_sigma_rad: [f64; 2],
+    /// How well both are known, standard deviations about the segment's axes, rad: what a gyro shows across the joints by that is no movement of theirs. Where
+    /// they are not exact, they and the lengths above are learnt from how the limb moves.
+    pub mount_sigma_rad: [Vector3<f64>; 2],
 }
 
 /// What the filter assumes; standard deviations per axis. Effect of each: `docs/methods/limb.md`.
@@ -136,6 +139,8 @@ pub struct Limb<J, const D: usize, const N: usize> {
     lower: Axes<D>,
     biases: [Vector3<f64>; 2],
     p: Covariance<N>,
+    /// How well the geometry is known; `None` where it is exact.
+    learning: Option<Learning>,
     sensors: [update::Sensor; 2],
 }
 
@@ -188,6 +193,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
                 sigmas[Self::LOWER_BIAS + i] = noise.bias_initial_rad_s;
             }
         }
+        let learning = Learning::of(&geometry);
         Self {
             geometry,
             noise,
@@ -195,7 +201,8 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
             upper,
             lower,
             biases: [Vector3::zeros(); 2],
-            p: Covariance::from_sigmas(sigmas),
+            p: Covariance { depends: learning.is_some(), ..Covariance::from_sigmas(sigmas) },
+            learning,
             sensors: [update::Sensor::default(); 2],
         }
     }
@@ -213,8 +220,9 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         dt_s: f64,
     ) -> [SensorReport; 2] {
         self.predict(dt_s);
-        let upper = self.observe(Which::Upper, base, field, samples.upper.as_ref(), dt_s);
-        let lower = self.observe(Which::Lower, base, field, samples.lower.as_ref(), dt_s);
+        let learns = self.learning.as_mut().is_some_and(|learning| learning.predict(dt_s));
+        let upper = self.observe(Which::Upper, base, field, samples.upper.as_ref(), learns, dt_s);
+        let lower = self.observe(Which::Lower, base, field, samples.lower.as_ref(), learns, dt_s);
         self.keep_limits();
         [upper, lower]
     }
@@ -248,19 +256,50 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
     /// # Panics
     /// May where `axis` is not below D.
     pub fn lower_sigma_rad(&self, axis: usize) -> f64 {
-        self.p.0[(Self::LOWER + axis, Self::LOWER + axis)].max(0.0).sqrt()
+        self.covariance::<1>(Self::LOWER + axis)[0].max(0.0).sqrt()
     }
 
     /// Covariance of the error of both joints' rotations, rad², 3 x 3: of the upper joint in the upper segment's axes, of the
     /// lower joint in the lower segment's, where it is zero across the joint's axes. The filter's own: systematic errors of
     /// the sensors are not in it (`docs/methods/body.md`, Uncertainty).
     pub fn rotations_rad2(&self) -> [Matrix3<f64>; 2] {
-        [self.upper.rotation_rad2(&self.p, 0), Joint::<N>::rotation_rad2(&self.lower, &self.p, Self::LOWER)]
+        let lower = self.lower.rotation_rad2_of(&self.covariance::<D>(Self::LOWER));
+        [self.covariance::<3>(0), lower]
     }
 
     /// Uncertainty of the upper segment about an axis, relative to the base, rad: root mean square over the three.
     pub fn upper_sigma_rad(&self) -> f64 {
-        ((0..3).map(|i| self.p.0[(i, i)]).sum::<f64>() / 3.0).max(0.0).sqrt()
+        (self.covariance::<3>(0).trace() / 3.0).max(0.0).sqrt()
+    }
+
+    /// Lengths, places and mountings, as far as the limb's movements have shown them, and how well the mountings are known.
+    pub fn geometry(&self) -> &LimbGeometry {
+        &self.geometry
+    }
+
+    /// The strap of the upper (0) or the lower (1) sensor has slipped: how it sits is found anew. Where the geometry was given as exact nothing changes.
+    pub fn loosen(&mut self, which: usize) {
+        let which = if which == 0 { Which::Upper } else { Which::Lower };
+        if let Some(learning) = &mut self.learning {
+            learning.loosen(which);
+            self.geometry.mount_sigma_rad[which as usize] = learning.mount_sigma_rad(which);
+        }
+    }
+
+    /// Standard deviation of the upper segment's length, m; `None` where the geometry was given as exact.
+    pub fn length_sigma_m(&self) -> Option<f64> {
+        self.learning.as_ref().map(Learning::length_sigma_m)
+    }
+
+    /// Covariance of K states from `at` on, with what the parameters leave open.
+    fn covariance<const K: usize>(&self, at: usize) -> SMatrix<f64, K, K> {
+        let own = self.p.own.fixed_view::<K, K>(at, at);
+        match &self.learning {
+            Some(learning) => {
+                own + learning.spread(&self.p.by_parameters.fixed_view::<PARAMETERS, K>(0, at).into_owned())
+            }
+            None => own.into_owned(),
+        }
     }
 
     /// Takes all angular velocities of the joints as measured to be zero, to 0.2 deg/s: call it after a step at which all
@@ -289,8 +328,8 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         if Self::HAS_BIAS {
             let walk = self.noise.bias_walk_rad_s_per_sqrt_s.powi(2) * dt_s;
             for i in 0..3 {
-                self.p.0[(Self::UPPER_BIAS + i, Self::UPPER_BIAS + i)] += walk;
-                self.p.0[(Self::LOWER_BIAS + i, Self::LOWER_BIAS + i)] += walk;
+                self.p.own[(Self::UPPER_BIAS + i, Self::UPPER_BIAS + i)] += walk;
+                self.p.own[(Self::LOWER_BIAS + i, Self::LOWER_BIAS + i)] += walk;
             }
         }
     }

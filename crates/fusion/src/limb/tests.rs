@@ -21,7 +21,7 @@ fn geometry() -> LimbGeometry {
         upper_to_lower_m: V::new(0.0, -0.3, 0.01),
         lower_imu_m: V::new(0.02, -0.2, 0.03),
         upper_mount: so3::exp(&V::new(0.3, -0.2, 0.5)),
-        mount_sigma_rad: [0.0; 2],
+        mount_sigma_rad: [V::zeros(); 2],
         lower_mount: so3::exp(&V::new(-0.4, 0.6, 0.1)),
     }
 }
@@ -151,6 +151,9 @@ fn jacobian_error<J: Joint<N> + Clone, const D: usize, const N: usize>(
     limb: &Limb<J, D, N>,
     base: &Base,
 ) -> f64 {
+    let mut limb = limb.clone();
+    limb.p.depends = true;
+    let limb = &limb;
     let reference = FieldReference { azimuth_rad: 1.2, norm: 45.0, dip_rad: 1.0 };
     let mut worst = 0.0_f64;
     for which in [Which::Upper, Which::Lower] {
@@ -178,6 +181,24 @@ fn jacobian_error<J: Joint<N> + Clone, const D: usize, const N: usize>(
             let gyro = (plus.0 - minus.0) / (2.0 * step) - analytic.d_gyro.column(column);
             let accel = (plus.1 - minus.1) / (2.0 * step) - analytic.d_accel.column(column);
             worst = worst.max(gyro.amax() / scale.max(1.0)).max(accel.amax() / scale.max(1.0));
+        }
+        let known = &analytic.dependence;
+        for parameter in 0..PARAMETERS {
+            let step = 1e-5;
+            let at = |sign: f64| {
+                let mut limb = limb.clone();
+                let mut moved = SVector::<f64, PARAMETERS>::zeros();
+                moved[parameter] = sign * step;
+                limb.geometry.correct(&moved);
+                sample(&limb)
+            };
+            let (plus, minus) = (at(1.0), at(-1.0));
+            let gyro = (plus.0 - minus.0) / (2.0 * step) - known.gyro.row(parameter).transpose();
+            let accel = (plus.1 - minus.1) / (2.0 * step) - known.accel.row(parameter).transpose();
+            let azimuth =
+                (plus.2 - minus.2) / (2.0 * step) - (known.azimuth[0] + known.azimuth[1])[parameter];
+            worst = worst.max(gyro.amax() / scale.max(1.0)).max(accel.amax() / scale.max(1.0));
+            worst = worst.max(azimuth.abs());
         }
         // The azimuth's row is the rotation about the vertical alone.
         let q_frame = base.q_room_base * limb.orientations()[which as usize];
@@ -286,31 +307,31 @@ fn the_covariance_is_predicted_with_the_transitions_derivative() {
     arm.noise.bias_walk_rad_s_per_sqrt_s = 0.0;
     // A covariance without structure, so that every entry of F counts.
     let a = SMatrix::<f64, 21, 21>::from_fn(|i, j| libm::sin((7 * i + 3 * j) as f64));
-    arm.p = Covariance(a * a.transpose());
+    arm.p = Covariance::of(a * a.transpose());
     let tau = 0.01;
     let f = transition(&arm, tau, arm_difference);
-    let expected = f * arm.p.0 * f.transpose();
+    let expected = f * arm.p.own * f.transpose();
     arm.predict(tau);
-    assert!((arm.p.0 - expected).amax() < 1e-6 * expected.amax());
-    assert_eq!(arm.p.0, arm.p.0.transpose());
+    assert!((arm.p.own - expected).amax() < 1e-6 * expected.amax());
+    assert_eq!(arm.p.own, arm.p.own.transpose());
 }
 
 #[test]
 fn josephs_form_equals_the_textbook_update() {
     let a = SMatrix::<f64, 21, 21>::from_fn(|i, j| libm::sin((5 * i + 11 * j) as f64));
     let before = a * a.transpose() + SMatrix::identity();
-    let mut p = Covariance(before);
+    let mut p = Covariance::of(before);
     let h = SMatrix::<f64, 3, 21>::from_fn(|i, j| if j < 12 { libm::cos((i + 4 * j) as f64) } else { 0.0 });
     let noise = V::new(0.5, 1.0, 2.0);
-    let innovation = p.innovation(&h, 12);
+    let innovation = p.innovation(&h, 12, &SMatrix::zeros());
     let residual = V::new(1.0, -2.0, 0.5);
     let inverse = innovation.inverse(&noise).unwrap();
     let dx = p.update(&innovation, &inverse, &residual, &noise);
     let s = h * before * h.transpose() + Matrix3::from_diagonal(&noise);
     let gain = before * h.transpose() * s.try_inverse().unwrap();
     assert!((dx - gain * residual).amax() < 1e-9);
-    assert!((p.0 - (before - gain * h * before)).amax() < 1e-9);
-    assert_eq!(p.0, p.0.transpose());
+    assert!((p.own - (before - gain * h * before)).amax() < 1e-9);
+    assert_eq!(p.own, p.own.transpose());
 }
 
 /// Number of directions that the two IMUs can see over two seconds, with or without a field, moving or not.
@@ -447,7 +468,7 @@ impl<J: Upper<N>, const D: usize, const N: usize> Matched<J, D, N> {
         let mut filter = Limb::<J, D, N>::new(geometry(), noise, J::still(), lower, free, 0.1);
         // Known start but for the stated uncertainty.
         for i in 0..N {
-            let sigma = filter.p.0[(i, i)].sqrt();
+            let sigma = filter.p.own[(i, i)].sqrt();
             let begin = Limb::<J, D, N>::LOWER;
             let after = |at: usize| (begin + at * D..begin + (at + 1) * D).contains(&i);
             let small = match i {
@@ -456,10 +477,10 @@ impl<J: Upper<N>, const D: usize, const N: usize> Matched<J, D, N> {
                 _ if (6..9).contains(&i) || after(2) => 1.0,
                 _ => sigma,
             };
-            filter.p.0[(i, i)] = small * small;
+            filter.p.own[(i, i)] = small * small;
         }
         let mut truth = filter.clone();
-        let dx = SVector::<f64, N>::from_fn(|i, _| filter.p.0[(i, i)].sqrt() * random.normal());
+        let dx = SVector::<f64, N>::from_fn(|i, _| filter.p.own[(i, i)].sqrt() * random.normal());
         truth.correct(&dx);
         Self { truth, filter, random, t: 0.0 }
     }
@@ -468,9 +489,9 @@ impl<J: Upper<N>, const D: usize, const N: usize> Matched<J, D, N> {
         self.t += Self::DT;
         // The process noise of one step, from the filter's own Q.
         let mut q = self.truth.clone();
-        q.p = Covariance(SMatrix::zeros());
+        q.p = Covariance::of(SMatrix::zeros());
         q.predict(Self::DT);
-        let root = (q.p.0 + SMatrix::identity() * 1e-18).cholesky().unwrap().l();
+        let root = (q.p.own + SMatrix::identity() * 1e-18).cholesky().unwrap().l();
         let w = root * SVector::<f64, N>::from_fn(|_, _| self.random.normal());
         self.truth.predict(Self::DT);
         self.truth.correct(&w);
@@ -500,7 +521,7 @@ impl<J: Upper<N>, const D: usize, const N: usize> Matched<J, D, N> {
 
     fn nees(&self) -> f64 {
         let e = difference(&self.filter, &self.truth);
-        e.dot(&self.filter.p.0.cholesky().unwrap().solve(&e))
+        e.dot(&self.filter.p.own.cholesky().unwrap().solve(&e))
     }
 }
 
@@ -552,7 +573,7 @@ fn a_missing_sensor_goes_stale_and_the_other_goes_on() {
         }
     }
     assert!(matches!(stale_after, Some(48..=50)), "{stale_after:?}");
-    assert!(filter.p.0.cholesky().is_some());
+    assert!(filter.p.own.cholesky().is_some());
 }
 
 #[test]

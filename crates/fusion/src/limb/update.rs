@@ -2,13 +2,14 @@
 //!
 //! In: one sample and the predicted limb. Out: a correction, and a report on what was believed.
 
-use nalgebra::{SMatrix, SVector, Vector3};
+use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector3};
 use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
 use super::chain::{Motion, Rows};
 use super::covariance::Covariance;
 use super::joint::Joint;
+use super::parameters::{ByParameters, Dependence, GYRO_SHARE, Learning, PARAMETERS, SLOW_RAD_S, lever};
 use super::{Base, Limb, Which};
 use crate::ahrs::ImuSample;
 use posed_geometry::wrapped_rad;
@@ -99,6 +100,8 @@ pub(super) struct Prediction<const N: usize> {
     pub(super) d_azimuth: SMatrix<f64, 1, N>,
     /// What a tilt does to the azimuth per error state: counted as noise, never corrected.
     d_azimuth_by_tilt: SMatrix<f64, 1, N>,
+    /// How it depends on the limb's parameters.
+    pub(super) dependence: Dependence,
 }
 
 #[expect(private_bounds, reason = "the two kinds of joint are a closed set")]
@@ -115,7 +118,8 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
             Motion::<N>::of_base(base.angular_velocity_rad_s, base.accel_rad_s2, base.specific_force_m_s2);
         motion.shift(&g.base_to_joint_m);
         self.upper.rotate(&mut motion, 0);
-        let (mount, bias_at) = match which {
+        let upper = motion.frame();
+        let (q_segment_sensor, bias_at) = match which {
             Which::Upper => {
                 motion.shift(&g.upper_imu_m);
                 (&g.upper_mount, Self::UPPER_BIAS)
@@ -127,7 +131,20 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
                 (&g.lower_mount, Self::LOWER_BIAS)
             }
         };
-        let back = mount.to_rotation_matrix().into_inner().transpose();
+        let back = q_segment_sensor.to_rotation_matrix().into_inner().transpose();
+        let mut dependence = Dependence::none();
+        if self.p.depends {
+            let frame = motion.frame();
+            let from =
+                |q: &UnitQuaternion<f64>| back * (frame.q.inverse() * q).to_rotation_matrix().into_inner();
+            dependence.mount(which, &back, &motion.omega, &motion.specific_force_m_s2);
+            dependence.place(which, &back, &frame.lever);
+            let base_lever = lever(&base.angular_velocity_rad_s, &base.accel_rad_s2);
+            dependence.joint(&from(&UnitQuaternion::identity()), &base_lever);
+            if which == Which::Lower {
+                dependence.length(g, &from(&upper.q), &upper.lever);
+            }
+        }
         let mut d_gyro = back * motion.d_omega;
         let mut gyro = back * motion.omega;
         if Self::HAS_BIAS {
@@ -139,7 +156,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         let mut d_azimuth_by_tilt = d_azimuth;
         if let Some((reference, mag)) = field {
             let q_room_frame = base.q_room_base * motion.q_base_frame;
-            let m = q_room_frame * (mount * mag);
+            let m = q_room_frame * (q_segment_sensor * mag);
             azimuth =
                 trusted(&m, reference).then(|| wrapped_rad(libm::atan2(m.y, m.x) - reference.azimuth_rad));
             // Only the rotation about the vertical: the azimuth never corrects the tilt.
@@ -147,6 +164,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
             d_azimuth = (back * Vector3::z()).transpose() * motion.d_rotation;
             let tilt = Vector3::new(m.x, m.y, 0.0) * (-m.z / (m.x * m.x + m.y * m.y));
             d_azimuth_by_tilt = (back * tilt).transpose() * motion.d_rotation;
+            dependence.azimuth(which, [back * Vector3::z(), back * tilt]);
         }
         Prediction {
             gyro,
@@ -156,6 +174,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
             azimuth,
             d_azimuth,
             d_azimuth_by_tilt,
+            dependence,
         }
     }
 
@@ -166,6 +185,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         base: &Base,
         field: Option<&FieldReference>,
         sample: Option<&ImuSample>,
+        learns: bool,
         dt_s: f64,
     ) -> SensorReport {
         let mut sensor = self.sensors[which as usize];
@@ -176,7 +196,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
             report.broken = !sample.gyro_rad_s.iter().chain(sample.accel_m_s2.iter()).all(|v| v.is_finite());
             if !report.broken {
                 sensor.silent_s = 0.0;
-                self.use_sample(which, base, field, sample, dt_s, &mut sensor, &mut report);
+                self.use_sample(which, base, field, sample, learns, dt_s, &mut sensor, &mut report);
             }
         }
         report.stale = sensor.silent_s >= STALE_S;
@@ -191,6 +211,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         base: &Base,
         field: Option<&FieldReference>,
         sample: &ImuSample,
+        learns: bool,
         dt_s: f64,
         sensor: &mut Sensor,
         report: &mut SensorReport,
@@ -203,9 +224,13 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         let field = field.zip(mag);
         let n = &self.noise;
         // A mounting that is wrong turns what the gyro shows, two of three parts of it across.
-        let turned_rad_s = self.geometry.mount_sigma_rad[which as usize] * sample.gyro_rad_s.norm();
-        let own_rad2_s2 = n.gyro_rad_s.powi(2) + turned_rad_s.powi(2) * (2.0 / 3.0);
+        let rate_rad_s = sample.gyro_rad_s.norm();
+        let mount_rad2 = self.geometry.mount_sigma_rad[which as usize].norm_squared() / 3.0;
+        let turned_rad2_s2 = mount_rad2 * rate_rad_s.powi(2) * (2.0 / 3.0);
+        let own_rad2_s2 = n.gyro_rad_s.powi(2) + turned_rad2_s2;
         let gyro_noise = Vector3::repeat(own_rad2_s2 + base.angular_velocity_sigma_rad_s.powi(2));
+        // The parameters themselves know how far a mounting turns what the gyro shows; skin and straps do it, too.
+        let gyro_excess = (GYRO_SHARE * rate_rad_s).powi(2) - turned_rad2_s2;
         let mut accel_noise =
             Vector3::repeat(n.accel_m_s2.powi(2) * sensor.adapted() + base.specific_force_sigma_m_s2.powi(2));
         for i in 0..3 {
@@ -215,6 +240,8 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         }
         let (heading, accel_variance) = (n.heading_rad, n.accel_m_s2.powi(2));
         let prior = self.p.clone();
+        let learning = self.learning.as_ref().filter(|_| learns && rate_rad_s > SLOW_RAD_S).cloned();
+        let mut moved = SVector::<f64, PARAMETERS>::zeros();
         let mut dx = SVector::<f64, N>::zeros();
         for pass in 0..3 {
             let prediction = self.predict_sample(which, base, field);
@@ -225,20 +252,23 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
                 self.p.clone_from(&prior);
             }
             dx.fill(0.0);
+            moved.fill(0.0);
+            let mut learning = learning.clone();
             *report = SensorReport { ..SensorReport::default() };
             let gyro = sample.gyro_rad_s - prediction.gyro + prediction.d_gyro * from;
             let accel = sample.accel_m_s2 - prediction.accel + prediction.d_accel * from;
 
             report.gyro_sigma_rad_s = own_rad2_s2.sqrt();
-            report.gyro_nis =
-                step(&mut self.p, &mut dx, &prediction.d_gyro, columns, &gyro, &gyro_noise, |_| Some(1.0)).0;
-            let (nis, excess) = step(
-                &mut self.p,
-                &mut dx,
-                &prediction.d_accel,
+            let mut errors =
+                Errors { p: &mut self.p, learning: learning.as_mut(), dx: &mut dx, moved: &mut moved };
+            let h = (&prediction.d_gyro, &prediction.dependence.gyro);
+            report.gyro_nis = errors.step(h, columns, &gyro, &gyro_noise, gyro_excess, |_| Some(1.0)).0;
+            let (nis, excess) = errors.step(
+                (&prediction.d_accel, &prediction.dependence.accel),
                 columns,
                 &accel,
                 &accel_noise,
+                0.0,
                 |nis| match nis {
                     n if n > GATE_3 => None,
                     n if n > DOUBT_3 => Some(n / 3.0),
@@ -264,6 +294,12 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
             }
             self.correct(&dx);
             if !relinearise || pass == 2 {
+                if let Some(learning) = learning {
+                    self.geometry.correct(&moved);
+                    self.geometry.mount_sigma_rad =
+                        [Which::Upper, Which::Lower].map(|which| learning.mount_sigma_rad(which));
+                    self.learning = Some(learning);
+                }
                 // The innovation's excess over what was predicted, slowly, as a factor on the noise.
                 let gain = dt_s / (ADAPT_S + dt_s);
                 let seen = (excess / (3.0 * accel_variance)).min(100.0);
@@ -282,7 +318,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
     pub(super) fn observe_state(&mut self, column: usize, residual: f64, noise: f64) {
         let mut h = SMatrix::<f64, 1, N>::zeros();
         h[column] = 1.0;
-        let innovation = self.p.innovation(&h, N);
+        let innovation = self.p.innovation(&h, N, &ByParameters::zeros());
         let (residual, noise) = (SVector::<f64, 1>::new(residual), SVector::<f64, 1>::new(noise));
         if let Some(inverse) = innovation.inverse(&noise) {
             let dx = self.p.update(&innovation, &inverse, &residual, &noise);
@@ -291,33 +327,43 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
     }
 }
 
-/// One block of rows. `trust` states by what the noise is multiplied, given the normalised innovation, or `None` to leave it out.
-/// Returns the normalised innovation squared, and the innovation's square beyond what the states explain.
-fn step<const M: usize, const N: usize>(
-    p: &mut Covariance<N>,
-    dx: &mut SVector<f64, N>,
-    h: &SMatrix<f64, M, N>,
-    columns: usize,
-    residual: &SVector<f64, M>,
-    noise: &SVector<f64, M>,
-    trust: impl Fn(f64) -> Option<f64>,
-) -> (Option<f64>, f64) {
-    let innovation = p.innovation(h, columns);
-    let residual = residual - h * *dx;
-    let excess = residual.norm_squared() - innovation.predicted.trace();
-    let Some(inverse) = innovation.inverse(noise) else { return (None, excess) };
-    let nis = residual.dot(&(inverse * residual));
-    match trust(nis) {
-        None => {}
-        Some(1.0) => *dx += p.update(&innovation, &inverse, &residual, noise),
-        Some(factor) => {
-            let noise = noise * factor;
-            if let Some(inverse) = innovation.inverse(&noise) {
-                *dx += p.update(&innovation, &inverse, &residual, &noise);
-            }
+/// What a sample corrects: the error states and the parameters.
+struct Errors<'a, const N: usize> {
+    p: &'a mut Covariance<N>,
+    learning: Option<&'a mut Learning>,
+    dx: &'a mut SVector<f64, N>,
+    moved: &'a mut SVector<f64, PARAMETERS>,
+}
+
+impl<const N: usize> Errors<'_, N> {
+    /// One block of rows, of the states and of the parameters. `trust` states by what the noise is multiplied, given the normalised innovation, or `None` to leave
+    /// it out; `excess_noise` is what the noise is larger by for the parameters. Returns the normalised innovation squared, and the innovation's square beyond what the states explain.
+    fn step<const M: usize>(
+        &mut self,
+        (h, direct): (&SMatrix<f64, M, N>, &ByParameters<M>),
+        columns: usize,
+        residual: &SVector<f64, M>,
+        noise: &SVector<f64, M>,
+        excess_noise: f64,
+        trust: impl Fn(f64) -> Option<f64>,
+    ) -> (Option<f64>, f64) {
+        let innovation = self.p.innovation(h, columns, direct);
+        let residual = residual - h * *self.dx - direct.transpose() * *self.moved;
+        let excess = residual.norm_squared() - innovation.predicted.trace();
+        let Some(inverse) = innovation.inverse(noise) else { return (None, excess) };
+        let nis = residual.dot(&(inverse * residual));
+        let Some(factor) = trust(nis) else { return (Some(nis), excess) };
+        let noise = noise * factor;
+        let inverse = if factor == 1.0 { Some(inverse) } else { innovation.inverse(&noise) };
+        let Some(inverse) = inverse else { return (Some(nis), excess) };
+        *self.dx += self.p.update(&innovation, &inverse, &residual, &noise);
+        if let Some(learning) = &mut self.learning {
+            let moved = learning.update(&innovation, &residual, &noise.add_scalar(excess_noise));
+            *self.dx += self.p.by_parameters.transpose() * moved;
+            *self.moved += moved;
         }
+        (Some(nis), excess)
     }
-    (Some(nis), excess)
 }
 
 /// The azimuth: its gain is that of a rotation about the vertical alone, but the covariance knows that a tilt moves
@@ -331,8 +377,10 @@ fn rotation_only<const N: usize>(
     noise: f64,
     trust: impl Fn(f64) -> bool,
 ) -> Option<f64> {
-    let rotate = p.innovation(&prediction.d_azimuth, columns);
-    let full = p.innovation(&(prediction.d_azimuth + prediction.d_azimuth_by_tilt), columns);
+    let [by_rotation, by_tilt] = &prediction.dependence.azimuth;
+    let rotate = p.innovation(&prediction.d_azimuth, columns, by_rotation);
+    let d_full = prediction.d_azimuth + prediction.d_azimuth_by_tilt;
+    let full = p.innovation(&d_full, columns, &(by_rotation + by_tilt));
     let residual = residual - (prediction.d_azimuth * *dx)[0];
     let s = full.predicted[0] + noise;
     let nis = residual * residual / s;

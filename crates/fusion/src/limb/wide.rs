@@ -6,19 +6,19 @@
 use nalgebra::SMatrix;
 
 /// `p h'`, all M columns in one pass over `p`; columns of `h` from `columns` on are zero.
-pub(super) fn product<const M: usize, const N: usize>(
-    p: &SMatrix<f64, N, N>,
+pub(super) fn product<const M: usize, const N: usize, const R: usize>(
+    p: &SMatrix<f64, R, N>,
     h: &SMatrix<f64, M, N>,
     columns: usize,
-) -> SMatrix<f64, N, M> {
+) -> SMatrix<f64, R, M> {
     #[cfg(target_arch = "x86_64")]
     if std::is_x86_feature_detected!("avx") {
         #[target_feature(enable = "avx")]
-        fn avx<const M: usize, const N: usize>(
-            p: &SMatrix<f64, N, N>,
+        fn avx<const M: usize, const N: usize, const R: usize>(
+            p: &SMatrix<f64, R, N>,
             h: &SMatrix<f64, M, N>,
             columns: usize,
-        ) -> SMatrix<f64, N, M> {
+        ) -> SMatrix<f64, R, M> {
             plain_product(p, h, columns)
         }
         #[expect(unsafe_code, reason = "the machine has been asked")]
@@ -51,20 +51,62 @@ pub(super) fn subtract_both<const M: usize, const N: usize>(
     plain_subtract_both(p, a, b);
 }
 
+/// `p -= a b'`, in one pass over `p`.
+pub(super) fn subtract<const M: usize, const N: usize, const R: usize>(
+    p: &mut SMatrix<f64, R, N>,
+    a: &SMatrix<f64, R, M>,
+    b: &SMatrix<f64, N, M>,
+) {
+    #[cfg(target_arch = "x86_64")]
+    if std::is_x86_feature_detected!("avx") {
+        #[target_feature(enable = "avx")]
+        fn avx<const M: usize, const N: usize, const R: usize>(
+            p: &mut SMatrix<f64, R, N>,
+            a: &SMatrix<f64, R, M>,
+            b: &SMatrix<f64, N, M>,
+        ) {
+            plain_subtract(p, a, b);
+        }
+        #[expect(unsafe_code, reason = "the machine has been asked")]
+        // SAFETY: this machine has AVX.
+        return unsafe { avx(p, a, b) };
+    }
+    plain_subtract(p, a, b);
+}
+
 #[inline(always)]
-fn plain_product<const M: usize, const N: usize>(
-    p: &SMatrix<f64, N, N>,
+#[expect(clippy::needless_range_loop, reason = "plain indices let the compiler vectorise over the rows")]
+fn plain_subtract<const M: usize, const N: usize, const R: usize>(
+    p: &mut SMatrix<f64, R, N>,
+    a: &SMatrix<f64, R, M>,
+    b: &SMatrix<f64, N, M>,
+) {
+    for (j, column) in p.data.0.iter_mut().enumerate() {
+        let factors: [f64; M] = std::array::from_fn(|i| b.data.0[i][j]);
+        for k in 0..R {
+            let mut sum = 0.0;
+            for i in 0..M {
+                sum += factors[i] * a.data.0[i][k];
+            }
+            column[k] -= sum;
+        }
+    }
+}
+
+#[inline(always)]
+fn plain_product<const M: usize, const N: usize, const R: usize>(
+    p: &SMatrix<f64, R, N>,
     h: &SMatrix<f64, M, N>,
     columns: usize,
-) -> SMatrix<f64, N, M> {
-    let mut out = [[0.0; N]; M];
+) -> SMatrix<f64, R, M> {
+    let mut out = [[0.0; R]; M];
     for (p, h) in p.data.0.iter().zip(&h.data.0).take(columns) {
         // Many states do not touch many measurements.
         if h.iter().all(|factor| *factor == 0.0) {
             continue;
         }
         for i in 0..M {
-            for k in 0..N {
+            for k in 0..R {
                 out[i][k] += h[i] * p[k];
             }
         }
