@@ -994,6 +994,18 @@ export type KeyPoseMessage = {
   t_valid_s: number;
 };
 
+/** What movements have shown of a segment. */
+export type LearntEntry = {
+  /** Length of a thigh or an upper arm, m; null for a shank or a forearm. */
+  length_m: number | null;
+  /** Its standard deviation, m. */
+  length_sigma_m: number | null;
+  /** How well it is known how its sensor sits, root mean square about an axis, degrees. */
+  mounting_sigma_deg: number;
+  /** By how much its sensor sits otherwise than the calibration found, degrees: a strap has slipped, or a pose was not held so well. */
+  turned_deg: number;
+};
+
 /** What a device's link does. */
 export type LinkState = "streaming" | "connecting" | "silent" | "failed";
 
@@ -1406,6 +1418,8 @@ export type ScrewMotion = {
 export type SegmentEntry = {
   /** What is wrong with that sensor; null where nothing is. */
   fault: FaultCause | null;
+  /** What its movements have shown of a limb's segment since its sensor was calibrated; null for other segments, and where the stage file says how it sits. */
+  learnt: LearntEntry | null;
   /** Its name. */
   name: string;
   /** Segment to room, unit quaternion, scalar first; null where nothing shows it. */

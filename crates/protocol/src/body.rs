@@ -2,7 +2,7 @@
 
 use serde::ser::{Serialize, SerializeMap, SerializeSeq, SerializeStruct, Serializer};
 
-use super::message::{Contacts, HeadingSource};
+use super::message::{Contacts, HeadingSource, LearntEntry};
 use super::{Names, Stamp, round};
 use posed_fusion::body::Heading;
 use posed_stage::layout::SegmentLayout;
@@ -67,7 +67,7 @@ struct SegmentView<'a> {
 impl Serialize for SegmentView<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let Self { layout, segment, names } = self;
-        let mut entry = serializer.serialize_struct("SegmentEntry", 7)?;
+        let mut entry = serializer.serialize_struct("SegmentEntry", 8)?;
         entry.serialize_field("name", &*layout.name)?;
         entry.serialize_field("state", &segment.state)?;
         entry.serialize_field("position_m", &segment.position_m.map(|p| round::each(round::POSITION, p)))?;
@@ -76,6 +76,13 @@ impl Serialize for SegmentView<'_> {
         entry.serialize_field("sigma_deg", &degrees(segment.sigma_rad))?;
         entry.serialize_field("sensor", &segment.sensor.map(|sensor| names.sensor(sensor)))?;
         entry.serialize_field("fault", &segment.fault)?;
+        let learnt = segment.learnt.map(|learnt| LearntEntry {
+            mounting_sigma_deg: degrees(learnt.mounting_sigma_rad),
+            turned_deg: degrees(learnt.turned_rad),
+            length_m: learnt.length_m.map(|[length_m, _]| round::to(round::POSITION, length_m)),
+            length_sigma_m: learnt.length_m.map(|[_, sigma_m]| round::to(round::POSITION, sigma_m)),
+        });
+        entry.serialize_field("learnt", &learnt)?;
         entry.end()
     }
 }

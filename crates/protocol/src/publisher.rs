@@ -287,6 +287,7 @@ mod tests {
             orientation_wxyz: Some([1.0, 0.0, 0.0, 0.0]),
             sigma_rad: 0.01,
             fault: None,
+            learnt: None,
         };
         body.segments[BodySegment::UpperArmR.index()] = shown;
         let fault = Some(Cause::Missing);

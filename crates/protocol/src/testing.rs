@@ -18,6 +18,7 @@ pub(crate) fn body(t_ms: i64, orientations: &[UnitQuaternion<f64>; SEGMENTS]) ->
             orientation_wxyz: Some(orientation_to_wxyz(&orientations[at])),
             sigma_rad: 0.01,
             fault: None,
+            learnt: None,
         })
         .collect();
     Body {

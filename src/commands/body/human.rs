@@ -36,8 +36,21 @@ struct SensorSummary {
     offset_m: [f64; 3],
     /// Root mean square disagreement of poses and movements, degrees; absent where the mounting was given.
     quality_deg: Option<f64>,
+    /// What its movements have shown since; absent where the mounting was given, and for segments that are no limb's.
+    learnt: Option<LearntSummary>,
     /// What was wrong with it, first of a kind with its time.
     faults: Vec<FaultSummary>,
+}
+
+#[derive(Clone, Copy, serde::Serialize)]
+struct LearntSummary {
+    /// How it sits at the end, sensor to segment, how well that is known, rms about an axis, degrees, and how far it is from where it began.
+    mount_quat_wxyz: [f64; 4],
+    mounting_sigma_deg: f64,
+    turned_deg: f64,
+    /// Length of a thigh or an upper arm, m, and its standard deviation.
+    length_m: Option<f64>,
+    length_sigma_m: Option<f64>,
 }
 
 #[derive(serde::Serialize)]
@@ -116,6 +129,7 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
     }
     write(args, &present, &skeleton, &estimates)?;
 
+    let learnt = filter.learnt();
     let summary = Summary {
         epochs: estimates.len(),
         sensors: BodySegment::ALL
@@ -128,6 +142,7 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
                     mount_quat_wxyz: orientation_to_wxyz(&mount.q_segment_sensor),
                     offset_m: mount.offset_m.into(),
                     quality_deg: quality[segment.index()],
+                    learnt: learnt[segment.index()],
                     faults: faults(segment, &estimates),
                 })
             })
@@ -163,6 +178,22 @@ impl Filter {
         }
     }
 
+    /// What the movements have shown by now.
+    fn learnt(&self) -> [Option<LearntSummary>; SEGMENTS] {
+        let Self::Joints(filter) = self else { return [None; SEGMENTS] };
+        let (learnt, mounts) = (filter.learnt(), filter.mounts());
+        std::array::from_fn(|index| {
+            let (learnt, mount) = learnt[index].zip(mounts[index])?;
+            Some(LearntSummary {
+                mount_quat_wxyz: orientation_to_wxyz(&mount.q_segment_sensor),
+                mounting_sigma_deg: learnt.mounting_sigma_rad.to_degrees(),
+                turned_deg: learnt.turned_rad.to_degrees(),
+                length_m: learnt.length_m.map(|[length_m, _]| length_m),
+                length_sigma_m: learnt.length_m.map(|[_, sigma_m]| sigma_m),
+            })
+        })
+    }
+
     /// The published limbs say nothing of uncertainty, faults and heading.
     fn push(&mut self, samples: &BodySamples, dt_s: f64) -> BodyEstimate {
         match self {
@@ -186,6 +217,20 @@ fn notify(args: &Solve, summary: &Summary) -> Result<(), Error> {
         }
         if let Some(quality) = sensor.quality_deg {
             text += &format!("{}: mounting good to {quality:.1} degrees\n", sensor.segment);
+        }
+        if let Some(LearntSummary { mounting_sigma_deg, turned_deg, .. }) = sensor.learnt {
+            text += &format!(
+                "{}: by its movements it sits {turned_deg:.1} degrees otherwise, known to {mounting_sigma_deg:.1}\n",
+                sensor.segment
+            );
+        }
+        if let Some(LearntSummary { length_m: Some(length_m), length_sigma_m: Some(sigma_m), .. }) =
+            sensor.learnt
+        {
+            text += &format!(
+                "{}: {length_m:.3} m long by its movements, known to {sigma_m:.3}\n",
+                sensor.segment
+            );
         }
         for fault in &sensor.faults {
             text += &format!("{}: {:?} at {:.2} s\n", sensor.segment, fault.fault, fault.t);

@@ -20,6 +20,7 @@ fn body(t_ms: i64) -> Body {
         position_m: Some([1.0, 2.0, 3.0]),
         orientation_wxyz: Some([1.0, 0.0, 0.0, 0.0]),
         sigma_rad: 0.01,
+        learnt: None,
     };
     let t_valid = Timestamp::from_nanos(t_ms * 1_000_000);
     let (heading, position_source) = (Heading::Field, PositionSource::Trackers);

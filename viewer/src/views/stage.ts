@@ -16,6 +16,9 @@ import type { Context, View } from "../view";
 /** Where the legend would hide half of the room. */
 const NARROW = "(max-width: 60rem)";
 
+/** So far from where it was calibrated a sensor has been moved; below it, a pose was held as people hold it, degrees. */
+const TURNED_DEG = 15;
+
 export class StageView implements View {
   readonly id = "stage-view";
   readonly title = "Stage";
@@ -129,7 +132,11 @@ export class StageView implements View {
     const worn = body.segments.filter(({ sensor, state }) => sensor !== null || state === "missing").length;
     const heading = body.heading === "held" ? `, heading held for ${body.heading_held_s.toFixed(0)} s (± ${(2 * (body.heading_sigma_deg ?? 180)).toFixed(0)}°)` : "";
     const place = { trackers: "", feet: `, place by its feet (± ${(200 * (body.position_sigma_m ?? 0)).toFixed(0)} cm)`, held: ", place as last seen", origin: ", place not known" }[body.position_source];
-    return `${good} of ${worn} segments measured${heading}${place}`;
+    // A strap that slipped, or a pose that was not held: as far as the limb's movements have shown it since.
+    const moved = body.segments.flatMap(({ name, learnt }) => learnt != null && learnt.turned_deg > TURNED_DEG
+      ? [`, ${name}'s sensor sits ${learnt.turned_deg.toFixed(0)}° otherwise than calibrated (± ${(2 * learnt.mounting_sigma_deg).toFixed(0)}°)`]
+      : []);
+    return `${good} of ${worn} segments measured${heading}${place}${moved.join("")}`;
   }
 
   /** The slice where the operator wants it. */

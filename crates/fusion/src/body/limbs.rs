@@ -268,9 +268,9 @@ impl LimbFilter {
 
     /// Length of the upper segment as far as its movements have shown it, and its standard deviation, m; `None` before it has begun, and where it was given as
     /// exact.
-    pub(super) fn upper_length_m(&self) -> Option<(f64, f64)> {
+    pub(super) fn upper_length_m(&self) -> Option<[f64; 2]> {
         let sigma_m = with_limb!(&self.filter, None, limb => limb.length_sigma_m())?;
-        Some((self.geometry.upper_to_lower_m.norm(), sigma_m))
+        Some([self.geometry.upper_to_lower_m.norm(), sigma_m])
     }
 
     /// Uncertainty of the upper (0) or lower (1) segment about an axis, rad.

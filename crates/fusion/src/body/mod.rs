@@ -124,6 +124,17 @@ impl SensorMount {
     }
 }
 
+/// What the movements of a limb have shown of one of its segments, beginning with what a calibration had found.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Plain)]
+pub struct Learnt {
+    /// How well it is known how its sensor sits, root mean square about an axis, rad.
+    pub mounting_sigma_rad: f64,
+    /// By how much its sensor sits otherwise than the body began with, rad: a strap has slipped, or the pose was not held so well.
+    pub turned_rad: f64,
+    /// Length of a thigh or an upper arm and its standard deviation, m; absent for a shank or a forearm, which no joint at their end shows.
+    pub length_m: Option<[f64; 2]>,
+}
+
 /// What the body's filters assume; the defaults serve all IMUs of MEMS class.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BodyParams {
@@ -206,6 +217,8 @@ impl BodyEstimate {
 #[derive(Clone, Debug, PartialEq, Plain)]
 struct Sensor {
     mount: SensorMount,
+    /// How it was said to sit when the body began, sensor to segment.
+    began: UnitQuaternion<f64>,
     ahrs: Ahrs,
     started: bool,
     /// Time since its last sample, s, and what that one stood for.
@@ -252,6 +265,7 @@ impl BodyFilter {
     pub fn new(skeleton: &Skeleton, mounts: &[Option<SensorMount>; SEGMENTS], params: &BodyParams) -> Self {
         let sensor = |mount: SensorMount| Sensor {
             mount,
+            began: mount.q_segment_sensor,
             ahrs: Ahrs::new(params.ahrs.clone()),
             started: false,
             behind_s: 0.0,
@@ -280,14 +294,23 @@ impl BodyFilter {
         self.sensors.each_ref().map(|sensor| sensor.as_ref().map(|sensor| sensor.mount))
     }
 
-    /// Lengths of thighs and upper arms and their standard deviations, m, by [`BodySegment::index`], as far as their movements have shown them; `None` for all other
-    /// segments, and where the mountings were given as exact.
-    pub fn lengths_m(&self) -> [Option<(f64, f64)>; SEGMENTS] {
-        let mut lengths_m = [None; SEGMENTS];
+    /// What the movements have shown of the segments of limbs, by [`BodySegment::index`]; `None` for all other segments, for one without a sensor, and where the
+    /// mountings of the limb were given as exact.
+    pub fn learnt(&self) -> [Option<Learnt>; SEGMENTS] {
+        let mut all = [None; SEGMENTS];
         for (limb, filter) in Limb::ALL.into_iter().zip(&self.limbs) {
-            lengths_m[limb.segments()[1].index()] = filter.upper_length_m();
+            let [_, upper, lower] = limb.segments();
+            for (segment, length_m) in [(upper, filter.upper_length_m()), (lower, None)] {
+                let Some(sensor) = &self.sensors[segment.index()] else { continue };
+                let SensorMount { q_segment_sensor, sigma_rad, .. } = &sensor.mount;
+                all[segment.index()] = (*sigma_rad != Vector3::zeros()).then(|| Learnt {
+                    mounting_sigma_rad: (sigma_rad.norm_squared() / 3.0).sqrt(),
+                    turned_rad: q_segment_sensor.angle_to(&sensor.began),
+                    length_m,
+                });
+            }
         }
-        lengths_m
+        all
     }
 
     /// Lets every sensor wait for a field, for a second at most: magnetometers are slower than gyros, and limbs that begin with a

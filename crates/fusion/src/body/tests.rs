@@ -715,15 +715,17 @@ fn movements_show_how_sensors_sit_and_how_long_a_thigh_is() {
     }
     let truth_m = Build::of_height(1.8).thigh_m * 1.05;
     for segment in [BodySegment::ThighR, BodySegment::ThighL] {
-        let (length_m, sigma_m) = person.filter.lengths_m()[segment.index()].unwrap();
+        let [length_m, sigma_m] = person.filter.learnt()[segment.index()].unwrap().length_m.unwrap();
         assert!((length_m / truth_m - 1.0).abs() < 0.02, "{length_m} for {truth_m}");
         assert!(sigma_m < 0.03 * truth_m, "{sigma_m}");
     }
+    let learnt = person.filter.learnt();
     assert_eq!(
-        person.filter.lengths_m()[BodySegment::ShankR.index()],
+        learnt[BodySegment::ShankR.index()].unwrap().length_m,
         None,
         "nothing hangs on it that shows it"
     );
+    assert_eq!(learnt[BodySegment::Torso.index()], None);
 }
 
 #[test]
@@ -735,7 +737,7 @@ fn what_was_given_as_exact_stays() {
         filter.push(samples, 0.01);
     }
     assert_eq!(filter.mounts(), before);
-    assert!(filter.lengths_m().iter().all(Option::is_none));
+    assert!(filter.learnt().iter().all(Option::is_none));
 }
 
 /// The sensor turns on its segment and is found again by how the limb moves; who does not move it hears that it does not fit.

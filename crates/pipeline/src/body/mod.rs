@@ -16,8 +16,8 @@ use self::epochs::{Epoch, Epochs};
 use super::PipelineError;
 use crate::frame::Frame;
 use posed_fusion::body::{
-    BodyEstimate, BodyFilter, BodyParams, BodySegment, DoubleTap, Figure, Follower, Heading, SEGMENTS,
-    SensorMount, Skeleton, Tracked, angles,
+    BodyEstimate, BodyFilter, BodyParams, BodySegment, DoubleTap, Figure, Follower, Heading, Learnt,
+    SEGMENTS, SensorMount, Skeleton, Tracked, angles,
 };
 use posed_fusion::faults::Cause;
 use posed_geometry::{isometry, orientation_from_wxyz, orientation_to_wxyz};
@@ -152,8 +152,8 @@ impl BodyStage {
                     self.tapped_now = tapped.and_then(|segment| self.wearing[segment]);
                 }
                 self.out.t_valid = t?;
-                let found = filter.estimate().clone();
-                self.place(&found, estimate);
+                let (found, learnt) = (filter.estimate().clone(), filter.learnt());
+                self.place(&found, &learnt, estimate);
             }
             Solver::Trackers(follower) => {
                 self.tracked.clear();
@@ -311,7 +311,7 @@ impl BodyStage {
     }
 
     /// Fills in what IMUs show.
-    fn place(&mut self, found: &BodyEstimate, estimate: &Estimate) {
+    fn place(&mut self, found: &BodyEstimate, learnt: &[Option<Learnt>; SEGMENTS], estimate: &Estimate) {
         let all = found.completed();
         let from_hips = self.skeleton.origins_m(&all, Vector3::zeros());
         let (mut sum, mut count) = (Vector3::zeros(), 0.0);
@@ -382,6 +382,7 @@ impl BodyStage {
                 position_m: shown.map(|_| (pelvis_m + from_hips[index]).into()),
                 orientation_wxyz: shown.as_ref().map(orientation_to_wxyz),
                 sigma_rad,
+                learnt: learnt[index],
             };
         }
     }
@@ -411,6 +412,7 @@ impl BodyStage {
                 position_m: Some(origins[index].into()),
                 orientation_wxyz: Some(orientation_to_wxyz(&figure.orientations[index])),
                 sigma_rad: if seen { TRACKED_RAD } else { BETWEEN_RAD },
+                learnt: None,
             };
         }
         for segment in BodySegment::ALL {

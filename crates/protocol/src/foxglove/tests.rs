@@ -72,6 +72,7 @@ fn figure() -> Body {
         orientation_wxyz: Some(posed_geometry::orientation_to_wxyz(&upright())),
         sigma_rad: 0.01,
         fault: None,
+        learnt: None,
     };
     Body {
         index: 0,

@@ -77,6 +77,22 @@ pub struct SegmentEntry {
     pub sensor: Option<String>,
     /// What is wrong with that sensor; null where nothing is.
     pub fault: Option<Cause>,
+    /// What its movements have shown of a limb's segment since its sensor was calibrated; null for other segments, and where the stage file says how it sits.
+    #[serde(default)]
+    pub learnt: Option<LearntEntry>,
+}
+
+/// What movements have shown of a segment.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct LearntEntry {
+    /// How well it is known how its sensor sits, root mean square about an axis, degrees.
+    pub mounting_sigma_deg: f64,
+    /// By how much its sensor sits otherwise than the calibration found, degrees: a strap has slipped, or a pose was not held so well.
+    pub turned_deg: f64,
+    /// Length of a thigh or an upper arm, m; null for a shank or a forearm.
+    pub length_m: Option<f64>,
+    /// Its standard deviation, m.
+    pub length_sigma_m: Option<f64>,
 }
 
 /// A joint.

@@ -7,7 +7,7 @@ use serde_big_array::BigArray;
 
 use crate::BodyIndex;
 use crate::input::SensorIndex;
-use posed_fusion::body::{ANGLES, AngleSpread, Heading};
+use posed_fusion::body::{ANGLES, AngleSpread, Heading, Learnt};
 use posed_fusion::faults::Cause;
 
 /// Segments and joint angles at one time, an estimate without delay; the order of both is that of [`crate::layout::BodyLayout`].
@@ -76,6 +76,9 @@ pub struct SegmentEstimate {
     /// Root mean square of its expected error about an axis, rad; of limbs that IMUs show, relative to the trunk; of a chain's
     /// segment, of the angle to its parent, of its root, of the tilt. Soft tissue is not in it. Pi where it is missing.
     pub sigma_rad: f64,
+    /// What movements have shown of it since its sensor was calibrated; absent for segments that are no limb's, and where the mounting was given.
+    #[serde(default)]
+    pub learnt: Option<Learnt>,
 }
 
 /// How far a segment can be trusted; the later, the less.
