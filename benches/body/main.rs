@@ -1,6 +1,7 @@
 //! How well a simulated body is solved, and what it costs: the tables of `docs/body.md`. `cargo bench --bench body`, with a case or an activity for its rows
 
 mod deceit;
+mod learnt;
 mod travel;
 
 use nalgebra::{UnitQuaternion, Vector3};
@@ -11,7 +12,9 @@ use posed_fusion::body::{
 };
 use posed_fusion::body::{Block, BlockKind, Recorded, calibrate};
 use posed_geometry::so3;
-use posed_simulator::body::{Activity, Build, Disturbance, Script, SensorErrors, Wearer, WearerSpec};
+use posed_simulator::body::{
+    Activity, Build, Disturbance, Placement, Sample, Script, SensorErrors, Wearer, WearerSpec,
+};
 
 const HEIGHT_M: f64 = 1.8;
 const RATE_HZ: f64 = 100.0;
@@ -42,6 +45,8 @@ struct Case {
     euler: bool,
     /// Whether head, hands and feet wear sensors, too.
     everywhere: bool,
+    /// How much longer thighs and upper arms are than the proportions say.
+    longer: f64,
 }
 
 impl Case {
@@ -57,6 +62,7 @@ impl Case {
             seed: 1,
             euler: false,
             everywhere: false,
+            longer: 1.0,
         }
     }
 }
@@ -87,14 +93,18 @@ struct Run {
     origins_m: Vec<[Vector3<f64>; SEGMENTS]>,
     wearer: Wearer,
     script: Script,
+    build: Build,
     blocks: Vec<Block>,
 }
 
 fn record(case: &Case) -> Run {
     let script = Script { activity: case.activity, calibration: true, facing: 0.6, mistake: None };
+    let mut build = Build::of_height(HEIGHT_M);
+    build.thigh_m *= case.longer;
+    build.upper_arm_m *= case.longer;
     let spec = WearerSpec {
         script: script.clone(),
-        build: Build::of_height(HEIGHT_M),
+        build,
         errors: case.errors,
         magnetometer: case.magnetometer,
         disturbances: case.disturbances.clone(),
@@ -107,27 +117,36 @@ fn record(case: &Case) -> Run {
     let frames = ((script.activity_s() + case.activity_s) * RATE_HZ) as usize;
     for _ in 0..frames {
         let (samples, at) = wearer.step();
-        let samples: BodySamples = BodySegment::ALL.map(|segment| {
-            let sample = samples[segment.index()];
-            (case.everywhere || !BodySegment::EXTREMITIES.contains(&segment)).then_some(ImuSample {
-                gyro_rad_s: sample.gyro_rad_s,
-                accel_m_s2: sample.accel_m_s2,
-                mag: sample.mag_ut,
-            })
-        });
-        recording.push((at.t_s, samples));
+        recording.push((at.t_s, recorded(&samples, case.everywhere)));
         // Without magnetometers the body's own facing is the room's x.
         let rotation_rad = if case.magnetometer { 0.0 } else { -script.facing };
         let room = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), rotation_rad);
         origins_m.push(at.body.map(|placement| room * placement.origin_m));
-        truth.push(at.body.map(|placement| room * UnitQuaternion::from_matrix(&placement.axes)));
+        truth.push(oriented(&at.body, room));
     }
     let blocks = script
         .blocks()
         .into_iter()
         .filter_map(|b| Some(Block { kind: BlockKind::named(b.kind)?, start_s: b.start_s, end_s: b.end_s }))
         .collect();
-    Run { recording, truth, origins_m, wearer, script, blocks }
+    Run { recording, truth, origins_m, wearer, script, build, blocks }
+}
+
+/// What the filters are given of a frame: everybody wears ten sensors, or fifteen.
+fn recorded(samples: &[Sample; SEGMENTS], everywhere: bool) -> BodySamples {
+    BodySegment::ALL.map(|segment| {
+        let sample = samples[segment.index()];
+        (everywhere || !BodySegment::EXTREMITIES.contains(&segment)).then_some(ImuSample {
+            gyro_rad_s: sample.gyro_rad_s,
+            accel_m_s2: sample.accel_m_s2,
+            mag: sample.mag_ut,
+        })
+    })
+}
+
+/// True orientations, segment to room, with the room turned by `room`.
+fn oriented(body: &[Placement; SEGMENTS], room: UnitQuaternion<f64>) -> [UnitQuaternion<f64>; SEGMENTS] {
+    body.map(|placement| room * UnitQuaternion::from_matrix(&placement.axes))
 }
 
 fn mounts(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<SensorMount>; SEGMENTS], String> {
@@ -327,6 +346,12 @@ fn main() {
     if only.as_ref().is_none_or(|only| "deceit".contains(only.as_str())) {
         deceit::table();
     }
+    if only.as_ref().is_none_or(|only| "learnt".contains(only.as_str())) {
+        learnt::learnt();
+    }
+    if only.as_ref().is_none_or(|only| "slips".contains(only.as_str())) {
+        learnt::slips();
+    }
     if only.as_ref().is_none_or(|only| "speed".contains(only.as_str())) {
         speed();
     }
@@ -380,11 +405,10 @@ fn consistency() {
 
 /// What one epoch of ten IMUs costs the processor, and of fifteen.
 fn speed() {
-    for (count, everywhere) in [(10, false), (15, true)] {
-        epoch(
-            count,
-            &Case { activity_s: 30.0, everywhere, ..Case::new(Activity::Walking, Mounting::Perfect) },
-        );
+    for mounting in [Mounting::Perfect, Mounting::Calibrated] {
+        for (count, everywhere) in [(10, false), (15, true)] {
+            epoch(count, &Case { activity_s: 30.0, everywhere, ..Case::new(Activity::Walking, mounting) });
+        }
     }
 }
 
@@ -403,7 +427,8 @@ fn epoch(count: usize, case: &Case) {
     }
     let bodies = 1e6 / (RATE_HZ * best_us);
     emit(&format!(
-        "\nAn epoch of {count} IMUs takes {best_us:.1} us of processor time: one core holds {bodies:.0} bodies at 100 Hz."
+        "\nAn epoch of {count} IMUs ({:?} mounting) takes {best_us:.1} us of processor time: one core holds {bodies:.0} bodies at 100 Hz.",
+        case.mounting
     ));
 }
 

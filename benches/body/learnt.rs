@@ -1,0 +1,199 @@
+//! What movements show of how sensors sit and how long segments are, and what becomes of a strap that slips: two tables of `docs/body.md`.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use posed_fusion::body::{
+    BlockKind, BodyFilter, BodyParams, BodySamples, BodySegment, Learnt, SEGMENTS, SensorMount, Skeleton,
+    calibrate,
+};
+use posed_simulator::body::Activity;
+
+use super::{Case, HEIGHT_M, Mounting, RATE_HZ, Run, emit, oriented, record, recorded};
+
+const PEOPLE: u64 = 6;
+/// How long the activity goes on before the table looks, and before and after a strap slips, s.
+const LONG_S: f64 = 60.0;
+const BEFORE_S: f64 = 20.0;
+const AFTER_S: f64 = 30.0;
+/// A joint that is wrong by less has been put right, degrees.
+const RIGHT_DEG: f64 = 6.0;
+/// A mounting that is said to be known no better than this is said not to be known, root mean square about an axis, degrees.
+const UNKNOWN_DEG: f64 = 10.0;
+const ACTIVITIES: [Activity; 5] =
+    [Activity::Walking, Activity::Strolling, Activity::Reaching, Activity::Curls, Activity::Squats];
+const LIMBS: [(&str, [BodySegment; 2]); 4] = [
+    ("upper arm", [BodySegment::UpperArmR, BodySegment::UpperArmL]),
+    ("forearm", [BodySegment::ForearmR, BodySegment::ForearmL]),
+    ("thigh", [BodySegment::ThighR, BodySegment::ThighL]),
+    ("shank", [BodySegment::ShankR, BodySegment::ShankL]),
+];
+
+/// How far a person's thighs and upper arms are from the proportions that the stage file's height gives.
+const LONGER: f64 = 1.04;
+
+fn case(activity: Activity, seed: u64) -> Case {
+    Case {
+        clumsiness_rad: 0.03,
+        activity_s: LONG_S,
+        seed,
+        longer: LONGER,
+        ..Case::new(activity, Mounting::Calibrated)
+    }
+}
+
+/// How the sensors sit by two poses, or by all that the guide asks for.
+fn mounts(run: &Run, quick: bool) -> Option<[Option<SensorMount>; SEGMENTS]> {
+    let pose = |kind| matches!(kind, BlockKind::NPose | BlockKind::TPose);
+    let blocks: Vec<_> = run.blocks.iter().filter(|block| !quick || pose(block.kind)).copied().collect();
+    let skeleton = Skeleton::from_height(HEIGHT_M);
+    Some(calibrate(&run.recording, &blocks, &skeleton, &[None; SEGMENTS]).ok()?.mounts)
+}
+
+fn filter(mounts: &[Option<SensorMount>; SEGMENTS]) -> BodyFilter {
+    BodyFilter::new(&Skeleton::from_height(HEIGHT_M), mounts, &BodyParams::default())
+}
+
+/// How wrong a mounting is, degrees.
+fn off_deg(filter: &BodyFilter, run: &Run, segment: BodySegment) -> f64 {
+    let (truth, _) = run.wearer.mounting(segment.index());
+    filter.mounts()[segment.index()].map_or(f64::NAN, |m| m.q_segment_sensor.angle_to(&truth).to_degrees())
+}
+
+/// `cargo bench --bench body learnt`
+pub(super) fn learnt() {
+    emit(
+        "\n| calibrated by | activity | upper arm | forearm | thigh | shank | thigh's length, % | upper arm's |",
+    );
+    emit("|---|---|---|---|---|---|---|---|");
+    for (name, quick) in [("two poses", true), ("all of the guide", false)] {
+        for activity in ACTIVITIES {
+            let mut squares = [[0.0; 3]; 4];
+            let mut lengths = [[0.0; 2]; 2];
+            let mut count = 0.0;
+            for seed in 1..=PEOPLE {
+                let run = record(&case(activity, seed));
+                let Some(mounts) = mounts(&run, quick) else { continue };
+                let mut filter = filter(&mounts);
+                let before = LIMBS.map(|(_, sides)| sides.map(|segment| off_deg(&filter, &run, segment)));
+                for (_, samples) in &run.recording {
+                    filter.push(samples, 1.0 / RATE_HZ);
+                }
+                let learnt = filter.learnt();
+                for (k, (_, sides)) in LIMBS.into_iter().enumerate() {
+                    for (side, segment) in sides.into_iter().enumerate() {
+                        let said =
+                            learnt[segment.index()].map_or(f64::NAN, |learnt| learnt.mounting_sigma_rad);
+                        let each = [
+                            before[k][side],
+                            off_deg(&filter, &run, segment),
+                            said.to_degrees() * 3_f64.sqrt(),
+                        ];
+                        for (sum, value) in squares[k].iter_mut().zip(each) {
+                            *sum += value * value;
+                        }
+                    }
+                }
+                let Run { build, .. } = &run;
+                for (k, (of, truth_m)) in [(2, build.thigh_m), (0, build.upper_arm_m)].into_iter().enumerate()
+                {
+                    for segment in LIMBS[of].1 {
+                        let Some(Learnt { length_m: Some([length_m, sigma_m]), .. }) =
+                            learnt[segment.index()]
+                        else {
+                            continue;
+                        };
+                        lengths[k][0] += (100.0 * (length_m / truth_m - 1.0)).powi(2);
+                        lengths[k][1] += (100.0 * sigma_m / truth_m).powi(2);
+                    }
+                }
+                count += 2.0;
+            }
+            let rms = |sum: f64| (sum / count).sqrt();
+            let limbs = squares.map(|[before, after, said]| {
+                format!("{:.1}, {:.1} ({:.1})", rms(before), rms(after), rms(said))
+            });
+            let lengths = lengths.map(|[off, said]| format!("{:.1} ({:.1})", rms(off), rms(said)));
+            emit(&format!("| {name} | {activity:?} | {} | {} |", limbs.join(" | "), lengths.join(" | ")));
+        }
+    }
+}
+
+/// `cargo bench --bench body slips`
+pub(super) fn slips() {
+    emit("\n| activity | upper arm | forearm, across | forearm, about itself | thigh | shank |");
+    emit("|---|---|---|---|---|---|");
+    // Mostly about the segment, as straps slip.
+    let turned = Vector3::new(0.15, 0.5, -0.1);
+    let across = Vector3::new(0.4, 0.0, 0.2);
+    let slips = [
+        (BodySegment::UpperArmR, turned),
+        (BodySegment::ForearmR, across),
+        (BodySegment::ForearmR, Vector3::y() * 0.6),
+        (BodySegment::ThighR, turned),
+        (BodySegment::ShankR, turned),
+    ];
+    for activity in ACTIVITIES {
+        let cells = slips.map(|(segment, turned)| {
+            let mut counts = [0; 3];
+            let mut worst_deg: f64 = 0.0;
+            for seed in 1..=PEOPLE {
+                match slip(activity, seed, segment, turned) {
+                    Some(Slip::Right) => counts[0] += 1,
+                    Some(Slip::Named) => counts[1] += 1,
+                    Some(Slip::Wrong(deg)) => {
+                        counts[2] += 1;
+                        worst_deg = worst_deg.max(deg);
+                    }
+                    None => {}
+                }
+            }
+            let words = counts.into_iter().zip(["right", "named", "wrong"]).filter(|(count, _)| *count > 0);
+            let words: Vec<String> = words.map(|(count, word)| format!("{count} {word}")).collect();
+            let worst = if counts[2] > 0 { format!(" ({worst_deg:.0})") } else { String::new() };
+            format!("{}{worst}", words.join(", "))
+        });
+        emit(&format!("| {activity:?} | {} |", cells.join(" | ")));
+    }
+}
+
+/// What became of a strap that slipped.
+enum Slip {
+    /// The joint is right again.
+    Right,
+    /// It does not fit, or how it sits is said not to be known.
+    Named,
+    /// By so much, and nothing is said, degrees.
+    Wrong(f64),
+}
+
+fn slip(activity: Activity, seed: u64, segment: BodySegment, turned: Vector3<f64>) -> Option<Slip> {
+    let mut run = record(&Case { activity_s: BEFORE_S, ..case(activity, seed) });
+    let mounts = mounts(&run, false)?;
+    let mut filter = filter(&mounts);
+    for (_, samples) in &run.recording {
+        filter.push(samples, 1.0 / RATE_HZ);
+    }
+    run.wearer.slip(segment.index(), turned);
+    let parent = segment.parent()?;
+    let last = ((AFTER_S - 5.0) * RATE_HZ) as usize;
+    let (mut square, mut misfits) = (0.0, 0);
+    for frame in 0..(AFTER_S * RATE_HZ) as usize {
+        let (samples, at) = run.wearer.step();
+        let samples: BodySamples = recorded(&samples, false);
+        let estimate = filter.push(&samples, 1.0 / RATE_HZ);
+        if frame < last {
+            continue;
+        }
+        misfits += usize::from(estimate.faults.iter().any(Option::is_some));
+        let truth = oriented(&at.body, UnitQuaternion::identity());
+        let found =
+            estimate.orientations[parent.index()]?.inverse() * estimate.orientations[segment.index()]?;
+        let expected = truth[parent.index()].inverse() * truth[segment.index()];
+        square += found.angle_to(&expected).to_degrees().powi(2) / (5.0 * RATE_HZ);
+    }
+    let said_deg = filter.learnt()[segment.index()]?.mounting_sigma_rad.to_degrees();
+    Some(match square.sqrt() {
+        off_deg if off_deg < RIGHT_DEG => Slip::Right,
+        _ if misfits > 0 || said_deg > UNKNOWN_DEG => Slip::Named,
+        off_deg => Slip::Wrong(off_deg),
+    })
+}
