@@ -729,6 +729,30 @@ fn movements_show_how_sensors_sit_and_how_long_a_thigh_is() {
 }
 
 #[test]
+fn an_arm_that_hangs_on_nothing_known_is_not_learnt_wrong() {
+    let mut person = Refined::new(Activity::Walking, true, 1.0, None);
+    let arm = [BodySegment::UpperArmR, BodySegment::ForearmR];
+    for (_, samples) in &mut person.recording {
+        for segment in BodySegment::ALL.into_iter().filter(|segment| !arm.contains(segment)) {
+            samples[segment.index()] = None;
+        }
+    }
+    let mounts = person.filter.mounts();
+    let alone = BodySegment::ALL.map(|segment| mounts[segment.index()].filter(|_| arm.contains(&segment)));
+    person.filter = BodyFilter::new(&Skeleton::from_height(1.8), &alone, &BodyParams::default());
+    let before = arm.map(|segment| person.mounting_deg(segment).0);
+    person.run();
+    for (segment, before_deg) in arm.into_iter().zip(before) {
+        let (after_deg, sigma_deg) = person.mounting_deg(segment);
+        println!("{}: {before_deg:.2}, now {after_deg:.2} (+-{sigma_deg:.1})", segment.name());
+        assert!(
+            after_deg < before_deg + 0.5 && after_deg < sigma_deg,
+            "{segment:?}: {before_deg} to {after_deg}"
+        );
+    }
+}
+
+#[test]
 fn what_was_given_as_exact_stays() {
     let (mut filter, mut wearer) = running(2);
     let before = filter.mounts();

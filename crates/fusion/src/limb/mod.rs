@@ -39,6 +39,9 @@ pub type Arm = Limb<Ball, 2, 21>;
 /// Leg, or any limb with a hinge below a ball joint, with gyro biases.
 pub type Leg = Limb<Ball, 1, 18>;
 
+/// What a joint that hangs on something unknown is accelerated by, m/s².
+const UNMEASURED_M_S2: f64 = 1.0;
+
 /// The segment that a limb hangs on, in its own axes, with its origin where its IMU sits: at the time of the limb's samples.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Base {
@@ -65,8 +68,13 @@ impl Base {
             accel_rad_s2: Vector3::zeros(),
             specific_force_m_s2: Vector3::z() * GRAVITY_M_S2,
             angular_velocity_sigma_rad_s: 0.0,
-            specific_force_sigma_m_s2: 1.0,
+            specific_force_sigma_m_s2: UNMEASURED_M_S2,
         }
+    }
+
+    /// Whether an IMU shows how it moves: else nothing is known of what the joint itself does.
+    fn is_measured(&self) -> bool {
+        self.specific_force_sigma_m_s2 < UNMEASURED_M_S2
     }
 }
 

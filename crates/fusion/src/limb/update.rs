@@ -263,6 +263,10 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
                 Errors { p: &mut self.p, learning: learning.as_mut(), dx: &mut dx, moved: &mut moved };
             let h = (&prediction.d_gyro, &prediction.dependence.gyro);
             report.gyro_nis = errors.step(h, columns, &gyro, &gyro_noise, gyro_excess, |_| Some(1.0)).0;
+            // How a joint moves that hangs on something unknown is no noise: it goes with the limb.
+            if !base.is_measured() {
+                errors.learning = None;
+            }
             let (nis, excess) = errors.step(
                 (&prediction.d_accel, &prediction.dependence.accel),
                 columns,
