@@ -10,7 +10,7 @@ use posed_fusion::body::{
 };
 use posed_simulator::body::{Activity, Build, Mistake, Script, SensorErrors, Wearer, WearerSpec};
 
-use super::{HEIGHT_M, emit};
+use super::{HEIGHT_M, emit, outcomes};
 
 const RATE_HZ: f64 = 50.0;
 const SEEDS: u64 = 6;
@@ -235,11 +235,8 @@ pub(super) fn table() {
             });
             let warned = count(|ended| matches!(ended, Ended::StillWrong(_)));
             let wrong = SEEDS as usize - noticed - right - warned;
-            let words = [(noticed, "noticed"), (right, "right"), (warned, "warned, used"), (wrong, "wrong")];
-            let words = words.into_iter().filter(|(count, _)| *count > 0);
-            let words: Vec<String> = words.map(|(count, word)| format!("{count} {word}")).collect();
-            let worst = if wrong + warned > 0 { format!(" ({worst_deg:.0})") } else { String::new() };
-            format!("{}{worst}", words.join(", "))
+            let counts = [(noticed, "noticed"), (right, "right"), (warned, "warned, used"), (wrong, "wrong")];
+            outcomes(&counts, (wrong + warned > 0).then_some(worst_deg))
         });
         emit(&format!("| {name} | {} |", cells.join(" | ")));
     }

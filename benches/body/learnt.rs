@@ -1,13 +1,10 @@
 //! What movements show of how sensors sit and how long segments are, and what becomes of a strap that slips: two tables of `docs/body.md`.
 
 use nalgebra::{UnitQuaternion, Vector3};
-use posed_fusion::body::{
-    BlockKind, BodyFilter, BodyParams, BodySamples, BodySegment, Learnt, SEGMENTS, SensorMount, Skeleton,
-    calibrate,
-};
+use posed_fusion::body::{BodyFilter, BodyParams, BodySegment, Learnt, Skeleton};
 use posed_simulator::body::Activity;
 
-use super::{Case, HEIGHT_M, Mounting, RATE_HZ, Run, emit, oriented, record, recorded};
+use super::{Case, HEIGHT_M, Mounting, RATE_HZ, Run, emit, mounts, oriented, outcomes, record, recorded};
 
 const PEOPLE: u64 = 6;
 /// How long the activity goes on before the table looks, and before and after a strap slips, s.
@@ -20,36 +17,25 @@ const RIGHT_DEG: f64 = 6.0;
 const UNKNOWN_DEG: f64 = 10.0;
 const ACTIVITIES: [Activity; 5] =
     [Activity::Walking, Activity::Strolling, Activity::Reaching, Activity::Curls, Activity::Squats];
-const LIMBS: [(&str, [BodySegment; 2]); 4] = [
-    ("upper arm", [BodySegment::UpperArmR, BodySegment::UpperArmL]),
-    ("forearm", [BodySegment::ForearmR, BodySegment::ForearmL]),
-    ("thigh", [BodySegment::ThighR, BodySegment::ThighL]),
-    ("shank", [BodySegment::ShankR, BodySegment::ShankL]),
+/// In the order of the table's columns.
+const LIMBS: [[BodySegment; 2]; 4] = [
+    [BodySegment::UpperArmR, BodySegment::UpperArmL],
+    [BodySegment::ForearmR, BodySegment::ForearmL],
+    [BodySegment::ThighR, BodySegment::ThighL],
+    [BodySegment::ShankR, BodySegment::ShankL],
 ];
 
 /// How far a person's thighs and upper arms are from the proportions that the stage file's height gives.
 const LONGER: f64 = 1.04;
 
-fn case(activity: Activity, seed: u64) -> Case {
-    Case {
-        clumsiness_rad: 0.03,
-        activity_s: LONG_S,
-        seed,
-        longer: LONGER,
-        ..Case::new(activity, Mounting::Calibrated)
-    }
+fn case(activity: Activity, mounting: Mounting, seed: u64) -> Case {
+    Case { clumsiness_rad: 0.03, activity_s: LONG_S, seed, longer: LONGER, ..Case::new(activity, mounting) }
 }
 
-/// How the sensors sit by two poses, or by all that the guide asks for.
-fn mounts(run: &Run, quick: bool) -> Option<[Option<SensorMount>; SEGMENTS]> {
-    let pose = |kind| matches!(kind, BlockKind::NPose | BlockKind::TPose);
-    let blocks: Vec<_> = run.blocks.iter().filter(|block| !quick || pose(block.kind)).copied().collect();
+/// A filter that knows of the sensors what the case does.
+fn filter(case: &Case, run: &Run) -> Result<BodyFilter, String> {
     let skeleton = Skeleton::from_height(HEIGHT_M);
-    Some(calibrate(&run.recording, &blocks, &skeleton, &[None; SEGMENTS]).ok()?.mounts)
-}
-
-fn filter(mounts: &[Option<SensorMount>; SEGMENTS]) -> BodyFilter {
-    BodyFilter::new(&Skeleton::from_height(HEIGHT_M), mounts, &BodyParams::default())
+    Ok(BodyFilter::new(&skeleton, &mounts(case, run, &skeleton)?, &BodyParams::default()))
 }
 
 /// How wrong a mounting is, degrees.
@@ -64,21 +50,21 @@ pub(super) fn learnt() {
         "\n| calibrated by | activity | upper arm | forearm | thigh | shank | thigh's length, % | upper arm's |",
     );
     emit("|---|---|---|---|---|---|---|---|");
-    for (name, quick) in [("two poses", true), ("all of the guide", false)] {
+    for (name, mounting) in [("two poses", Mounting::Posed), ("all of the guide", Mounting::Calibrated)] {
         for activity in ACTIVITIES {
             let mut squares = [[0.0; 3]; 4];
             let mut lengths = [[0.0; 2]; 2];
             let mut count = 0.0;
             for seed in 1..=PEOPLE {
-                let run = record(&case(activity, seed));
-                let Some(mounts) = mounts(&run, quick) else { continue };
-                let mut filter = filter(&mounts);
-                let before = LIMBS.map(|(_, sides)| sides.map(|segment| off_deg(&filter, &run, segment)));
+                let case = case(activity, mounting, seed);
+                let run = record(&case);
+                let Ok(mut filter) = filter(&case, &run) else { continue };
+                let before = LIMBS.map(|sides| sides.map(|segment| off_deg(&filter, &run, segment)));
                 for (_, samples) in &run.recording {
                     filter.push(samples, 1.0 / RATE_HZ);
                 }
                 let learnt = filter.learnt();
-                for (k, (_, sides)) in LIMBS.into_iter().enumerate() {
+                for (k, sides) in LIMBS.into_iter().enumerate() {
                     for (side, segment) in sides.into_iter().enumerate() {
                         let said =
                             learnt[segment.index()].map_or(f64::NAN, |learnt| learnt.mounting_sigma_rad);
@@ -92,10 +78,10 @@ pub(super) fn learnt() {
                         }
                     }
                 }
-                let Run { build, .. } = &run;
-                for (k, (of, truth_m)) in [(2, build.thigh_m), (0, build.upper_arm_m)].into_iter().enumerate()
-                {
-                    for segment in LIMBS[of].1 {
+                let [upper_arms, _, thighs, _] = LIMBS;
+                let lengths_m = [(thighs, run.build.thigh_m), (upper_arms, run.build.upper_arm_m)];
+                for (k, (sides, truth_m)) in lengths_m.into_iter().enumerate() {
+                    for segment in sides {
                         let Some(Learnt { length_m: Some([length_m, sigma_m]), .. }) =
                             learnt[segment.index()]
                         else {
@@ -146,10 +132,9 @@ pub(super) fn slips() {
                     None => {}
                 }
             }
-            let words = counts.into_iter().zip(["right", "named", "wrong"]).filter(|(count, _)| *count > 0);
-            let words: Vec<String> = words.map(|(count, word)| format!("{count} {word}")).collect();
-            let worst = if counts[2] > 0 { format!(" ({worst_deg:.0})") } else { String::new() };
-            format!("{}{worst}", words.join(", "))
+            let [right, named, wrong] = counts;
+            let counts = [(right, "right"), (named, "named"), (wrong, "wrong")];
+            outcomes(&counts, (wrong > 0).then_some(worst_deg))
         });
         emit(&format!("| {activity:?} | {} |", cells.join(" | ")));
     }
@@ -166,9 +151,9 @@ enum Slip {
 }
 
 fn slip(activity: Activity, seed: u64, segment: BodySegment, turned: Vector3<f64>) -> Option<Slip> {
-    let mut run = record(&Case { activity_s: BEFORE_S, ..case(activity, seed) });
-    let mounts = mounts(&run, false)?;
-    let mut filter = filter(&mounts);
+    let case = Case { activity_s: BEFORE_S, ..case(activity, Mounting::Calibrated, seed) };
+    let mut run = record(&case);
+    let mut filter = filter(&case, &run).ok()?;
     for (_, samples) in &run.recording {
         filter.push(samples, 1.0 / RATE_HZ);
     }
@@ -178,8 +163,7 @@ fn slip(activity: Activity, seed: u64, segment: BodySegment, turned: Vector3<f64
     let (mut square, mut misfits) = (0.0, 0);
     for frame in 0..(AFTER_S * RATE_HZ) as usize {
         let (samples, at) = run.wearer.step();
-        let samples: BodySamples = recorded(&samples, false);
-        let estimate = filter.push(&samples, 1.0 / RATE_HZ);
+        let estimate = filter.push(&recorded(&samples, false), 1.0 / RATE_HZ);
         if frame < last {
             continue;
         }

@@ -29,7 +29,9 @@ enum Mounting {
     Perfect,
     /// Wrong by so many degrees in a random direction.
     Wrong(f64),
+    /// By all that the guide asks for, or by its two poses alone.
     Calibrated,
+    Posed,
 }
 
 struct Case {
@@ -150,9 +152,12 @@ fn oriented(body: &[Placement; SEGMENTS], room: UnitQuaternion<f64>) -> [UnitQua
 }
 
 fn mounts(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<SensorMount>; SEGMENTS], String> {
-    if case.mounting == Mounting::Calibrated {
-        let offsets = BodySegment::ALL.map(|_| None);
-        let found = calibrate(&run.recording, &run.blocks, skeleton, &offsets).map_err(|e| e.to_string())?;
+    if matches!(case.mounting, Mounting::Calibrated | Mounting::Posed) {
+        let pose = |kind| matches!(kind, BlockKind::NPose | BlockKind::TPose);
+        let asked = |block: &&Block| case.mounting == Mounting::Calibrated || pose(block.kind);
+        let blocks: Vec<Block> = run.blocks.iter().filter(asked).copied().collect();
+        let found =
+            calibrate(&run.recording, &blocks, skeleton, &[None; SEGMENTS]).map_err(|e| e.to_string())?;
         return Ok(found.mounts);
     }
     Ok(BodySegment::ALL.map(|segment| {
@@ -436,6 +441,14 @@ fn epoch(count: usize, case: &Case) {
 fn busy_ns() -> u64 {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
     text.split(' ').next().and_then(|word| word.parse().ok()).unwrap_or(0)
+}
+
+/// What became of several people, in words: how many of each kind, and of those that ended badly the worst, degrees.
+fn outcomes(counts: &[(usize, &str)], worst_deg: Option<f64>) -> String {
+    let words = counts.iter().filter(|(count, _)| *count > 0);
+    let words: Vec<String> = words.map(|(count, word)| format!("{count} {word}")).collect();
+    let worst = worst_deg.map_or_else(String::new, |worst_deg| format!(" ({worst_deg:.0})"));
+    format!("{}{worst}", words.join(", "))
 }
 
 /// The table goes to stdout.

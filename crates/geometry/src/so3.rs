@@ -13,6 +13,13 @@ pub fn hat(v: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::new(0.0, -v.z, v.y, v.z, 0.0, -v.x, -v.y, v.x, 0.0)
 }
 
+/// How the acceleration of a point depends on its place in a frame that turns by `omega`, rad/s, and `alpha`, rad/s², all in the frame's axes: multiplied by the
+/// place, m, it is `alpha x r + omega x (omega x r)`, m/s².
+#[inline]
+pub fn lever(omega: &Vector3<f64>, alpha: &Vector3<f64>) -> Matrix3<f64> {
+    hat(alpha) + hat(omega) * hat(omega)
+}
+
 /// Rotation by `|w|` rad about `w`, of any length (Rodrigues); the unit quaternion has w < 0 for angles between pi and 3 pi.
 #[inline]
 pub fn exp(w: &Vector3<f64>) -> UnitQuaternion<f64> {

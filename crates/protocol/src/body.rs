@@ -4,7 +4,7 @@ use serde::ser::{Serialize, SerializeMap, SerializeSeq, SerializeStruct, Seriali
 
 use super::message::{Contacts, HeadingSource, LearntEntry};
 use super::{Names, Stamp, round};
-use posed_fusion::body::Heading;
+use posed_fusion::body::{Heading, Learnt};
 use posed_stage::layout::SegmentLayout;
 use posed_stage::output::{Body, SegmentEstimate, SegmentState};
 
@@ -76,13 +76,7 @@ impl Serialize for SegmentView<'_> {
         entry.serialize_field("sigma_deg", &degrees(segment.sigma_rad))?;
         entry.serialize_field("sensor", &segment.sensor.map(|sensor| names.sensor(sensor)))?;
         entry.serialize_field("fault", &segment.fault)?;
-        let learnt = segment.learnt.map(|learnt| LearntEntry {
-            mounting_sigma_deg: degrees(learnt.mounting_sigma_rad),
-            turned_deg: degrees(learnt.turned_rad),
-            length_m: learnt.length_m.map(|[length_m, _]| round::to(round::POSITION, length_m)),
-            length_sigma_m: learnt.length_m.map(|[_, sigma_m]| round::to(round::POSITION, sigma_m)),
-        });
-        entry.serialize_field("learnt", &learnt)?;
+        entry.serialize_field("learnt", &segment.learnt.map(LearntEntry::from))?;
         entry.end()
     }
 }
@@ -174,6 +168,18 @@ impl Serialize for Angles<'_> {
             map.serialize_entry(self.0.below.angle(index), &angle)?;
         }
         map.end()
+    }
+}
+
+impl From<Learnt> for LearntEntry {
+    fn from(learnt: Learnt) -> Self {
+        let length = learnt.length_m.map(|of_m| round::each(round::POSITION, of_m));
+        Self {
+            mounting_sigma_deg: degrees(learnt.mounting_sigma_rad),
+            turned_deg: degrees(learnt.turned_rad),
+            length_m: length.map(|[length_m, _]| length_m),
+            length_sigma_m: length.map(|[_, sigma_m]| sigma_m),
+        }
     }
 }
 

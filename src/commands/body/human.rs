@@ -10,6 +10,7 @@ use posed_fusion::body::{
 use posed_fusion::body::{Block, BlockKind, Recorded, calibrate};
 use posed_fusion::faults::Cause;
 use posed_geometry::orientation_to_wxyz;
+use posed_protocol::LearntEntry;
 use posed_recording::animation::{self, Animation};
 use posed_recording::table::{Imu, TableError, TableWriter};
 use posed_stage::layout::{offset_on, skeleton_of};
@@ -44,13 +45,10 @@ struct SensorSummary {
 
 #[derive(Clone, Copy, serde::Serialize)]
 struct LearntSummary {
-    /// How it sits at the end, sensor to segment, how well that is known, rms about an axis, degrees, and how far it is from where it began.
+    /// How it sits at the end, sensor to segment.
     mount_quat_wxyz: [f64; 4],
-    mounting_sigma_deg: f64,
-    turned_deg: f64,
-    /// Length of a thigh or an upper arm, m, and its standard deviation.
-    length_m: Option<f64>,
-    length_sigma_m: Option<f64>,
+    #[serde(flatten)]
+    shown: LearntEntry,
 }
 
 #[derive(serde::Serialize)]
@@ -184,13 +182,8 @@ impl Filter {
         let (learnt, mounts) = (filter.learnt(), filter.mounts());
         std::array::from_fn(|index| {
             let (learnt, mount) = learnt[index].zip(mounts[index])?;
-            Some(LearntSummary {
-                mount_quat_wxyz: orientation_to_wxyz(&mount.q_segment_sensor),
-                mounting_sigma_deg: learnt.mounting_sigma_rad.to_degrees(),
-                turned_deg: learnt.turned_rad.to_degrees(),
-                length_m: learnt.length_m.map(|[length_m, _]| length_m),
-                length_sigma_m: learnt.length_m.map(|[_, sigma_m]| sigma_m),
-            })
+            let mount_quat_wxyz = orientation_to_wxyz(&mount.q_segment_sensor);
+            Some(LearntSummary { mount_quat_wxyz, shown: learnt.into() })
         })
     }
 
@@ -218,19 +211,18 @@ fn notify(args: &Solve, summary: &Summary) -> Result<(), Error> {
         if let Some(quality) = sensor.quality_deg {
             text += &format!("{}: mounting good to {quality:.1} degrees\n", sensor.segment);
         }
-        if let Some(LearntSummary { mounting_sigma_deg, turned_deg, .. }) = sensor.learnt {
+        if let Some(LearntSummary { shown, .. }) = &sensor.learnt {
+            let LearntEntry { mounting_sigma_deg, turned_deg, length_m, length_sigma_m } = shown;
             text += &format!(
                 "{}: by its movements it sits {turned_deg:.1} degrees otherwise, known to {mounting_sigma_deg:.1}\n",
                 sensor.segment
             );
-        }
-        if let Some(LearntSummary { length_m: Some(length_m), length_sigma_m: Some(sigma_m), .. }) =
-            sensor.learnt
-        {
-            text += &format!(
-                "{}: {length_m:.3} m long by its movements, known to {sigma_m:.3}\n",
-                sensor.segment
-            );
+            if let (Some(length_m), Some(sigma_m)) = (length_m, length_sigma_m) {
+                text += &format!(
+                    "{}: {length_m:.3} m long by its movements, known to {sigma_m:.3}\n",
+                    sensor.segment
+                );
+            }
         }
         for fault in &sensor.faults {
             text += &format!("{}: {:?} at {:.2} s\n", sensor.segment, fault.fault, fault.t);

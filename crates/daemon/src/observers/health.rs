@@ -376,7 +376,7 @@ fn emitted(fault: Cause) -> &'static str {
         Cause::Stuck => "repeats itself: switch it off and on",
         Cause::Saturated => "is at the end of its range",
         Cause::Misfit => {
-            "does not move as its segment can: its strap has slipped (move that limb, and how it sits is found anew), or it is swapped with another"
+            "does not move as its segment can: its strap has slipped (a limb that was calibrated shows by its movements how it sits now), or it is swapped with another"
         }
         other => other.words(),
     }

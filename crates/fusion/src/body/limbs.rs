@@ -3,14 +3,15 @@
 //! In: the trunk's motion, both sensors' samples and own orientations. Out: upper and lower segment to trunk. A limb
 //! of which no sensor is worn stays unknown; one with a single sensor shows the segments down to that sensor.
 
-use nalgebra::{Matrix3, SVector, UnitQuaternion, Vector3};
+use nalgebra::{SVector, UnitQuaternion, Vector3};
 use posed_state::Plain;
 
 use super::skeleton::{BodySegment, Limb, SEGMENTS, Skeleton};
 use super::{BodyParams, Sensor, SensorMount, joint_angles};
 use crate::ahrs::ImuSample;
 use crate::limb::{
-    Arm, Axes, Ball, Base, FieldReference, Leg, LimbGeometry, LimbNoise, LimbSamples, SensorReport,
+    Arm, Axes, Ball, Base, FieldReference, Leg, LimbGeometry, LimbNoise, LimbSamples, LimbSpread,
+    SensorReport,
 };
 
 /// Uncertainty of each angle at the start, rad.
@@ -260,10 +261,9 @@ impl LimbFilter {
         [Some(upper), self.mounted[1].then_some(lower)]
     }
 
-    /// Covariance of the error of both joints' rotations, rad², each in the axes of the segment below; `None` before it has
-    /// begun.
-    pub(super) fn rotations_rad2(&self) -> Option<[Matrix3<f64>; 2]> {
-        with_limb!(&self.filter, None, limb => Some(limb.rotations_rad2()))
+    /// How uncertain it is; `None` before it has begun.
+    pub(super) fn spread(&self) -> Option<LimbSpread> {
+        with_limb!(&self.filter, None, limb => Some(limb.spread()))
     }
 
     /// Length of the upper segment as far as its movements have shown it, and its standard deviation, m; `None` before it has begun, and where it was given as
@@ -271,13 +271,5 @@ impl LimbFilter {
     pub(super) fn upper_length_m(&self) -> Option<[f64; 2]> {
         let sigma_m = with_limb!(&self.filter, None, limb => limb.length_sigma_m())?;
         Some([self.geometry.upper_to_lower_m.norm(), sigma_m])
-    }
-
-    /// Uncertainty of the upper (0) or lower (1) segment about an axis, rad.
-    pub(super) fn sigma_rad(&self, which: usize) -> f64 {
-        with_limb!(&self.filter, std::f64::consts::PI, limb => {
-            let upper = limb.upper_sigma_rad();
-            if which == 0 { upper } else { libm::hypot(limb.lower_sigma_rad(0), upper) }
-        })
     }
 }

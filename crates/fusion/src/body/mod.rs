@@ -27,11 +27,15 @@ mod guide;
 mod guide_tests;
 mod health;
 mod inverse;
+#[cfg(test)]
+mod learnt_tests;
 mod limbs;
 mod places;
 mod posture;
 mod skeleton;
 mod spread;
+#[cfg(test)]
+mod spread_tests;
 mod taps;
 #[cfg(test)]
 mod tests;
@@ -116,6 +120,11 @@ impl SensorMount {
     /// One that is exact.
     pub fn exact(q_segment_sensor: UnitQuaternion<f64>, offset_m: Vector3<f64>) -> Self {
         Self { q_segment_sensor, offset_m, heading_rad: None, sigma_rad: Vector3::zeros() }
+    }
+
+    /// How well it is known, root mean square about an axis, rad.
+    fn rms_rad(&self) -> f64 {
+        (self.sigma_rad.norm_squared() / 3.0).sqrt()
     }
 
     /// Covariance of its rotation, rad², segment's axes.
@@ -302,10 +311,10 @@ impl BodyFilter {
             let [_, upper, lower] = limb.segments();
             for (segment, length_m) in [(upper, filter.upper_length_m()), (lower, None)] {
                 let Some(sensor) = &self.sensors[segment.index()] else { continue };
-                let SensorMount { q_segment_sensor, sigma_rad, .. } = &sensor.mount;
-                all[segment.index()] = (*sigma_rad != Vector3::zeros()).then(|| Learnt {
-                    mounting_sigma_rad: (sigma_rad.norm_squared() / 3.0).sqrt(),
-                    turned_rad: q_segment_sensor.angle_to(&sensor.began),
+                let mount = &sensor.mount;
+                all[segment.index()] = (mount.sigma_rad != Vector3::zeros()).then(|| Learnt {
+                    mounting_sigma_rad: mount.rms_rad(),
+                    turned_rad: mount.q_segment_sensor.angle_to(&sensor.began),
                     length_m,
                 });
             }
@@ -497,7 +506,8 @@ impl BodyFilter {
                 out.sigma_rad[alone.index()] = sensor.systematic_rad(self.held_s);
             }
         }
-        for (limb, filter) in Limb::ALL.into_iter().zip(&self.limbs) {
+        let spreads = self.limbs.each_ref().map(LimbFilter::spread);
+        for ((limb, filter), spread) in Limb::ALL.into_iter().zip(&self.limbs).zip(&spreads) {
             let [trunk, upper, lower] = limb.segments();
             let q_room_base = bases[trunk.index()].q_room_base;
             let relative = filter.orientations();
@@ -505,14 +515,15 @@ impl BodyFilter {
                 out.orientations[segment.index()] = relative[k].map(|q| q_room_base * q);
                 // The filter knows of noise and of its own mountings alone; the other errors of both sensors last.
                 let sensors = [trunk, segment].map(|s| self.sensors[s.index()].as_ref());
+                let limb_rad = spread.map_or(std::f64::consts::PI, |spread| spread.sigma_rad[k]);
                 let trunk = sensors[0].map_or(0.0, |sensor| sensor.systematic_rad(self.held_s));
                 let own = sensors[1].map_or(0.0, |sensor| sensor.unmounted_rad(self.held_s));
-                out.sigma_rad[segment.index()] = libm::hypot(libm::hypot(filter.sigma_rad(k), trunk), own);
+                out.sigma_rad[segment.index()] = libm::hypot(libm::hypot(limb_rad, trunk), own);
             }
         }
         out.angles_rad = angles(&out.orientations);
         let orientations = out.orientations;
-        self.estimate.spread = self.spread(&orientations);
+        self.estimate.spread = self.spread(&orientations, &spreads);
         let out = &mut self.estimate;
         for segment in BodySegment::ALL {
             let index = segment.index();
@@ -557,8 +568,7 @@ impl Sensor {
     /// What calibrated sensors are systematically wrong by, rms about an axis, rad: the accelerometer's bias tilts, the magnetometer'
     /// iron turns the heading, or without a field the gyro's bias for `held_s`, and its mounting is as good as the calibration was.
     fn systematic_rad(&self, held_s: f64) -> f64 {
-        let mount = (self.mount.sigma_rad.norm_squared() / 3.0).sqrt();
-        libm::hypot(self.unmounted_rad(held_s), mount).min(std::f64::consts::PI)
+        libm::hypot(self.unmounted_rad(held_s), self.mount.rms_rad()).min(std::f64::consts::PI)
     }
 
     /// The same without the mounting.

@@ -12,6 +12,7 @@ use serde_big_array::BigArray;
 use super::BodyFilter;
 use super::angles::{ANGLES, joint_angles, of_joint};
 use super::skeleton::{BodySegment, Limb, SEGMENTS};
+use crate::limb::LimbSpread;
 
 /// Variance of an angle of which nothing is known, rad²: all values from -pi to pi are as likely.
 const UNKNOWN_RAD2: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
@@ -85,13 +86,17 @@ impl BodyFilter {
     /// How uncertain the angles between these segments (to room) are: what the filters say of the joint's rotation, and what
     /// both sensors are systematically wrong by. Elbows and knees hold the headings of their segments together, so that
     /// magnetometers do not count there.
-    pub(super) fn spread(&self, orientations: &[Option<UnitQuaternion<f64>>; SEGMENTS]) -> AngleSpread {
+    pub(super) fn spread(
+        &self,
+        orientations: &[Option<UnitQuaternion<f64>>; SEGMENTS],
+        limbs: &[Option<LimbSpread>; 4],
+    ) -> AngleSpread {
         let mut spread = AngleSpread::default();
         let mut rotations_rad2 = [Matrix3::zeros(); SEGMENTS];
-        for (limb, filter) in Limb::ALL.into_iter().zip(&self.limbs) {
-            let [_, upper, lower] = limb.segments();
-            if let Some([above, below]) = filter.rotations_rad2() {
-                (rotations_rad2[upper.index()], rotations_rad2[lower.index()]) = (above, below);
+        for (limb, spread) in Limb::ALL.into_iter().zip(limbs) {
+            let [_, upper, lower] = limb.segments().map(BodySegment::index);
+            if let Some(LimbSpread { rotations_rad2: of, .. }) = spread {
+                [rotations_rad2[upper], rotations_rad2[lower]] = *of;
             }
         }
         for segment in BodySegment::ALL {
@@ -99,7 +104,9 @@ impl BodyFilter {
             let (Some(above), Some(q)) = (orientations[parent.index()], orientations[segment.index()]) else {
                 continue;
             };
-            let hinged = Limb::ALL.into_iter().any(|limb| limb.segments()[2] == segment);
+            let limb =
+                Limb::ALL.into_iter().map(|limb| limb.segments()).find(|of| of[1..].contains(&segment));
+            let hinged = limb.is_some_and(|[.., lower]| lower == segment);
             let shaken = if segment == BodySegment::Torso { TRUNK_RAD2 } else { LIMB_RAD2 };
             let up = q.inverse() * Vector3::z();
             let level = [parent, segment].into_iter().filter_map(|of| self.sensors[of.index()].as_ref());
@@ -111,9 +118,8 @@ impl BodyFilter {
                 })
                 .sum();
             // A mounting is wrong in its segment's own axes, and stays so; a limb's filter knows of its own.
-            let own = Limb::ALL.into_iter().map(|limb| limb.segments()).find(|of| of[1..].contains(&segment));
             let mounted = |of: BodySegment| match &self.sensors[of.index()] {
-                Some(sensor) if !own.is_some_and(|own| own[1..].contains(&of)) => {
+                Some(sensor) if !limb.is_some_and(|limb| limb[1..].contains(&of)) => {
                     sensor.mount.rotation_rad2()
                 }
                 _ => Matrix3::zeros(),

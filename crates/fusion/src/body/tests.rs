@@ -103,7 +103,7 @@ pub(super) fn spec(script: Script, seed: u64) -> WearerSpec {
     }
 }
 
-fn script(activity: Activity) -> Script {
+pub(super) fn script(activity: Activity) -> Script {
     Script { activity, calibration: true, facing: 0.6, mistake: None }
 }
 
@@ -123,7 +123,7 @@ pub(super) fn worn(samples: [Sample; SEGMENTS]) -> BodySamples {
     samples.map(|s| Some(ImuSample { gyro_rad_s: s.gyro_rad_s, accel_m_s2: s.accel_m_s2, mag: s.mag_ut }))
 }
 
-fn blocks(activity: Activity) -> Vec<Block> {
+pub(super) fn blocks(activity: Activity) -> Vec<Block> {
     let spans = script(activity).blocks().into_iter();
     spans
         .map(|b| Block { kind: BlockKind::named(b.kind).unwrap(), start_s: b.start_s, end_s: b.end_s })
@@ -151,7 +151,7 @@ fn rms(
     f64::sqrt(sum / count).to_degrees()
 }
 
-const UNKNOWN: [Option<V>; SEGMENTS] = [None; SEGMENTS];
+pub(super) const UNKNOWN: [Option<V>; SEGMENTS] = [None; SEGMENTS];
 
 #[test]
 fn a_body_is_calibrated_and_followed() {
@@ -226,7 +226,7 @@ pub(super) fn mounted(activity: Activity, seed: u64) -> (BodyFilter, Wearer) {
 }
 
 /// A body in the middle of its activity, perfectly mounted.
-fn running(seed: u64) -> (BodyFilter, Wearer) {
+pub(super) fn running(seed: u64) -> (BodyFilter, Wearer) {
     let (mut filter, mut wearer) = reaching(seed);
     let (recording, _) = record(&mut wearer, 8.0);
     for (_, samples) in &recording {
@@ -516,277 +516,4 @@ fn head_hands_and_feet_are_turned_as_their_trackers() {
         &(figure.orientations[BodySegment::ForearmR.index()].inverse() * figure.orientations[hand.index()]),
     );
     assert!(off < 1e-9, "{off}");
-}
-
-/// How a body's sensors are known to sit.
-#[derive(Clone, Copy, PartialEq)]
-enum Known {
-    Exactly,
-    /// By the poses and movements of somebody whose joints are off by so much, standard deviation, rad; calibrated as a guide asks for.
-    ByCalibration {
-        clumsiness_rad: f64,
-        quick: bool,
-    },
-}
-
-/// Normalised squared error per degree of freedom of every joint, mean over both sides: the angles' error over their covariance.
-/// `POSED_SEEDS=8 cargo test --lib -- angles_are_as_sure --nocapture` prints what `docs/body.md` says.
-fn joints_nees(
-    known: Known,
-    activities: &[Activity],
-    seeds: u64,
-    until_s: f64,
-) -> [(BodySegment, f64, f64); 8] {
-    let joints = [
-        BodySegment::Torso,
-        BodySegment::UpperArmR,
-        BodySegment::ForearmR,
-        BodySegment::ThighR,
-        BodySegment::ShankR,
-        BodySegment::Head,
-        BodySegment::HandR,
-        BodySegment::FootR,
-    ];
-    let mut sums = joints.map(|joint| (joint, 0.0_f64, 0.0_f64));
-    for activity in activities {
-        for seed in 1..=seeds {
-            let clumsiness_rad = match known {
-                Known::Exactly => 0.0,
-                Known::ByCalibration { clumsiness_rad, .. } => clumsiness_rad,
-            };
-            let mut wearer = Wearer::new(WearerSpec { clumsiness_rad, ..spec(script(*activity), seed) });
-            let skeleton = Skeleton::from_height(1.8);
-            let (recording, truth) = record(&mut wearer, until_s);
-            let mounts = match known {
-                Known::Exactly => BodySegment::ALL.map(|segment| {
-                    let (mount, offset_m) = wearer.mounting(segment.index());
-                    Some(SensorMount::exact(mount, offset_m))
-                }),
-                Known::ByCalibration { quick, .. } => {
-                    let mut blocks = blocks(*activity);
-                    blocks
-                        .retain(|block| !quick || matches!(block.kind, BlockKind::NPose | BlockKind::TPose));
-                    calibrate(&recording, &blocks, &skeleton, &UNKNOWN).unwrap().mounts
-                }
-            };
-            let mut filter = BodyFilter::new(&skeleton, &mounts, &BodyParams::default());
-            for (k, ((_, samples), truth)) in recording.iter().zip(&truth).enumerate() {
-                let estimate = filter.push(samples, 0.01);
-                if k < 9600 || k % 10 != 0 {
-                    continue;
-                }
-                let expected = angles(&truth.map(Some));
-                for segment in BodySegment::ALL.into_iter().filter(|segment| segment.parent().is_some()) {
-                    let (n, range) = (independent(segment), of_joint(segment));
-                    // Where two axes of a sequence fall together no covariance states what the angles are.
-                    if estimate.spread.sigma_rad[range.start..range.start + n]
-                        .iter()
-                        .any(|sigma| *sigma > 0.3)
-                    {
-                        continue;
-                    }
-                    let off: Vec<f64> = (range.start..range.start + n)
-                        .map(|k| {
-                            posed_geometry::wrapped_rad(
-                                estimate.angles_rad[k].unwrap() - expected[k].unwrap(),
-                            )
-                        })
-                        .collect();
-                    let upper = &estimate.spread.covariance_rad2[segment.index()];
-                    let at = |i: usize, j: usize| upper[i * n + j - i * (i + 1) / 2];
-                    let covariance = nalgebra::DMatrix::from_fn(n, n, |i, j| at(i.min(j), i.max(j)));
-                    let off = nalgebra::DVector::from_vec(off);
-                    let inverse = covariance.try_inverse().unwrap();
-                    let right = segment.name().replace("_l", "_r");
-                    let joint = joints.iter().position(|joint| joint.name() == right).unwrap();
-                    sums[joint].1 += (off.transpose() * inverse * &off)[(0, 0)] / n as f64;
-                    sums[joint].2 += 1.0;
-                }
-            }
-        }
-    }
-    sums.map(|(joint, sum, count)| (joint, sum / count, count))
-}
-
-#[test]
-fn angles_are_as_sure_as_is_said() {
-    let requested: Option<u64> = std::env::var("POSED_SEEDS").ok().map(|seeds| seeds.parse().unwrap());
-    let (long, seeds) = (requested.is_some(), requested.unwrap_or(2));
-    let activities = [Activity::Walking, Activity::Reaching, Activity::Curls, Activity::Squats];
-    let activities = if long { &activities[..] } else { &activities[..2] };
-    let nees = joints_nees(Known::Exactly, activities, seeds, if long { 130.0 } else { 102.0 });
-    for (joint, nees, count) in nees {
-        println!("{}: {nees:.2} of {count}", joint.name());
-        // Two draws of what sensors are systematically wrong by are as good as their luck: eight seeds are within 0.5 to 2.
-        let limits = if long { 0.5..2.0 } else { 0.25..3.5 };
-        assert!(count > 80.0 && limits.contains(&nees), "{joint:?}: {nees}");
-    }
-}
-
-/// Who stands as people do is measured by a calibration that is wrong by that, and says so.
-#[test]
-fn angles_of_a_calibrated_body_are_as_sure_as_is_said() {
-    let requested: Option<u64> = std::env::var("POSED_SEEDS").ok().map(|seeds| seeds.parse().unwrap());
-    let (long, seeds) = (requested.is_some(), requested.unwrap_or(1));
-    let activities = [Activity::Reaching, Activity::Walking, Activity::Curls, Activity::Squats];
-    for quick in [true, false].into_iter().take(if long { 2 } else { 1 }) {
-        let activities = if long { &activities[..] } else { &activities[3..] };
-        let known = Known::ByCalibration { clumsiness_rad: 0.03, quick };
-        let nees = joints_nees(known, activities, seeds, if long { 130.0 } else { 104.0 });
-        for (joint, nees, count) in nees {
-            println!("quick {quick}, {}: {nees:.2} of {count}", joint.name());
-            // Never more certain than it deserves; how far a few people are off is their luck.
-            assert!(count > 40.0 && nees < if long { 2.0 } else { 4.0 }, "{quick} {joint:?}: {nees}");
-        }
-    }
-}
-
-/// Somebody whose joints are off by 1.7 degrees each, and what a calibration makes of it: the filter, what it is given, and the truth. The strap on `slips` slips
-/// after 30 s of the activity.
-struct Refined {
-    wearer: Wearer,
-    filter: BodyFilter,
-    recording: Vec<Recorded>,
-    truth: Vec<Orientations>,
-}
-
-impl Refined {
-    fn new(activity: Activity, quick: bool, thigh: f64, slips: Option<(BodySegment, V)>) -> Self {
-        let mut spec = WearerSpec { clumsiness_rad: 0.03, ..spec(script(activity), 3) };
-        spec.build.thigh_m *= thigh;
-        let mut wearer = Wearer::new(spec);
-        let (mut recording, mut truth) = record(&mut wearer, script(activity).activity_s() + 30.0);
-        let mut blocks = blocks(activity);
-        blocks.retain(|block| !quick || matches!(block.kind, BlockKind::NPose | BlockKind::TPose));
-        let skeleton = Skeleton::from_height(1.8);
-        let mounts = calibrate(&recording, &blocks, &skeleton, &UNKNOWN).unwrap().mounts;
-        if let Some((segment, turned)) = slips {
-            wearer.slip(segment.index(), turned);
-        }
-        let (more, more_truth) = record(&mut wearer, 30.0);
-        recording.extend(more);
-        truth.extend(more_truth);
-        let filter = BodyFilter::new(&skeleton, &mounts, &BodyParams::default());
-        Self { wearer, filter, recording, truth }
-    }
-
-    /// Takes all of it; how often in the last ten seconds one of its sensors did not fit, 0 to 1.
-    fn run(&mut self) -> f64 {
-        let last = self.recording.len() - 1000;
-        let misfit = |estimate: &BodyEstimate| estimate.faults.contains(&Some(Cause::Misfit));
-        let samples = self.recording.iter().enumerate();
-        samples.filter(|(k, (_, samples))| misfit(self.filter.push(samples, 0.01)) && *k >= last).count()
-            as f64
-            / 1e3
-    }
-
-    /// How wrong a mounting is now and how well it is said to be known, degrees.
-    fn mounting_deg(&self, segment: BodySegment) -> (f64, f64) {
-        let mount = self.filter.mounts()[segment.index()].unwrap();
-        let (truth, _) = self.wearer.mounting(segment.index());
-        (mount.q_segment_sensor.angle_to(&truth).to_degrees(), mount.sigma_rad.norm().to_degrees())
-    }
-
-    /// How wrong the joint above a segment is at the end, the whole rotation, degrees.
-    fn joint_deg(&self, segment: BodySegment) -> f64 {
-        let parent = segment.parent().unwrap();
-        let found = &self.filter.estimate().orientations;
-        let truth = self.truth.last().unwrap();
-        let found = found[parent.index()].unwrap().inverse() * found[segment.index()].unwrap();
-        let truth = truth[parent.index()].inverse() * truth[segment.index()];
-        found.angle_to(&truth).to_degrees()
-    }
-}
-
-#[test]
-fn movements_show_how_sensors_sit_and_how_long_a_thigh_is() {
-    let mut person = Refined::new(Activity::Strolling, true, 1.05, None);
-    let segments = [BodySegment::ThighR, BodySegment::ThighL, BodySegment::UpperArmR];
-    let before = segments.map(|segment| person.mounting_deg(segment));
-    person.run();
-    for (segment, (before_deg, said_deg)) in segments.into_iter().zip(before) {
-        let (after_deg, sigma_deg) = person.mounting_deg(segment);
-        println!(
-            "{}: {before_deg:.2} (+-{said_deg:.1}), now {after_deg:.2} (+-{sigma_deg:.1})",
-            segment.name()
-        );
-        assert!(after_deg < 0.7 * before_deg && after_deg < 2.0, "{segment:?}: {before_deg} to {after_deg}");
-        assert!(sigma_deg < 0.7 * said_deg && sigma_deg > 0.4 * after_deg, "{segment:?}: {sigma_deg}");
-    }
-    let truth_m = Build::of_height(1.8).thigh_m * 1.05;
-    for segment in [BodySegment::ThighR, BodySegment::ThighL] {
-        let [length_m, sigma_m] = person.filter.learnt()[segment.index()].unwrap().length_m.unwrap();
-        assert!((length_m / truth_m - 1.0).abs() < 0.02, "{length_m} for {truth_m}");
-        assert!(sigma_m < 0.03 * truth_m, "{sigma_m}");
-    }
-    let learnt = person.filter.learnt();
-    assert_eq!(
-        learnt[BodySegment::ShankR.index()].unwrap().length_m,
-        None,
-        "nothing hangs on it that shows it"
-    );
-    assert_eq!(learnt[BodySegment::Torso.index()], None);
-}
-
-#[test]
-fn an_arm_that_hangs_on_nothing_known_is_not_learnt_wrong() {
-    let mut person = Refined::new(Activity::Walking, true, 1.0, None);
-    let arm = [BodySegment::UpperArmR, BodySegment::ForearmR];
-    for (_, samples) in &mut person.recording {
-        for segment in BodySegment::ALL.into_iter().filter(|segment| !arm.contains(segment)) {
-            samples[segment.index()] = None;
-        }
-    }
-    let mounts = person.filter.mounts();
-    let alone = BodySegment::ALL.map(|segment| mounts[segment.index()].filter(|_| arm.contains(&segment)));
-    person.filter = BodyFilter::new(&Skeleton::from_height(1.8), &alone, &BodyParams::default());
-    let before = arm.map(|segment| person.mounting_deg(segment).0);
-    person.run();
-    for (segment, before_deg) in arm.into_iter().zip(before) {
-        let (after_deg, sigma_deg) = person.mounting_deg(segment);
-        println!("{}: {before_deg:.2}, now {after_deg:.2} (+-{sigma_deg:.1})", segment.name());
-        assert!(
-            after_deg < before_deg + 0.5 && after_deg < sigma_deg,
-            "{segment:?}: {before_deg} to {after_deg}"
-        );
-    }
-}
-
-#[test]
-fn what_was_given_as_exact_stays() {
-    let (mut filter, mut wearer) = running(2);
-    let before = filter.mounts();
-    let (recording, _) = record(&mut wearer, 10.0);
-    for (_, samples) in &recording {
-        filter.push(samples, 0.01);
-    }
-    assert_eq!(filter.mounts(), before);
-    assert!(filter.learnt().iter().all(Option::is_none));
-}
-
-/// The sensor turns on its segment and is found again by how the limb moves; who does not move it hears that it does not fit.
-#[test]
-fn a_strap_that_slips_is_found_anew_where_the_limb_moves() {
-    let turned = V::new(0.15, 0.5, -0.1);
-    for (activity, segment) in
-        [(Activity::Walking, BodySegment::ThighR), (Activity::Reaching, BodySegment::UpperArmR)]
-    {
-        let mut person = Refined::new(activity, false, 1.0, Some((segment, turned)));
-        assert!(person.mounting_deg(segment).0 > 25.0);
-        let misfit = person.run();
-        let (off_deg, sigma_deg) = person.mounting_deg(segment);
-        println!(
-            "{}: {off_deg:.1} (+-{sigma_deg:.1}), joint {:.1}",
-            segment.name(),
-            person.joint_deg(segment)
-        );
-        assert!(off_deg < 4.0 && sigma_deg < 6.0, "{segment:?}: {off_deg} of {sigma_deg}");
-        assert!(person.joint_deg(segment) < 5.0, "{segment:?}: {}", person.joint_deg(segment));
-        assert_eq!(misfit, 0.0, "{segment:?}");
-    }
-    let mut person =
-        Refined::new(Activity::Curls, false, 1.0, Some((BodySegment::ThighR, V::new(0.4, 0.0, 0.2))));
-    let misfit = person.run();
-    assert!(person.mounting_deg(BodySegment::ThighR).1 > 30.0, "whose legs stand still shows nothing");
-    assert!(misfit > 0.9, "{misfit}");
 }

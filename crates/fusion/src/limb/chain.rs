@@ -10,9 +10,7 @@
 
 use nalgebra::{Matrix3, SMatrix, UnitQuaternion, Vector3};
 
-use posed_geometry::so3::hat;
-
-use super::parameters::lever;
+use posed_geometry::so3::{hat, lever};
 
 /// Derivative of a vector with respect to N error states.
 pub(super) type Rows<const N: usize> = SMatrix<f64, 3, N>;

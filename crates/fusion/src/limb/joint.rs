@@ -128,7 +128,7 @@ impl<const K: usize> Axes<K> {
 
 impl<const K: usize> Axes<K> {
     /// Covariance of the joint's rotation, in the axes of the frame behind it, rad², from that of its angles.
-    pub(super) fn rotation_rad2_of(&self, angles_rad2: &SMatrix<f64, K, K>) -> Matrix3<f64> {
+    pub(super) fn rotation_rad2(&self, angles_rad2: &SMatrix<f64, K, K>) -> Matrix3<f64> {
         let rotation_axes = self.rotation_axes();
         rotation_axes * angles_rad2 * rotation_axes.transpose()
     }

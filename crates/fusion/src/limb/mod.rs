@@ -152,6 +152,18 @@ pub struct Limb<J, const D: usize, const N: usize> {
     sensors: [update::Sensor; 2],
 }
 
+/// How uncertain a limb is: noise, and what its parameters leave open. Other systematic errors of the sensors and soft tissue are not in it
+/// (`docs/methods/body.md`, Uncertainty).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LimbSpread {
+    /// Covariance of the error of both joints' rotations, rad², 3 x 3: of the upper joint in the upper segment's axes, of the lower joint in the lower segment's,
+    /// where it is zero across the joint's axes.
+    pub rotations_rad2: [Matrix3<f64>; 2],
+    /// Standard deviation of the upper and the lower segment about an axis, relative to the base, rad: of the upper joint root mean square over the three, of the
+    /// lower joint about its first axis.
+    pub sigma_rad: [f64; 2],
+}
+
 /// Which of the two IMUs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Which {
@@ -245,8 +257,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         &self.lower
     }
 
-    /// Upper and lower segment to base, at the time of the last step; [`Self::rotations_rad2`] has the covariances of their
-    /// joints.
+    /// Upper and lower segment to base, at the time of the last step; [`Self::spread`] has the covariances of their joints.
     pub fn orientations(&self) -> [UnitQuaternion<f64>; 2] {
         let mut motion = Motion::<N>::of_base(Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
         self.upper.rotate(&mut motion, 0);
@@ -258,26 +269,14 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         &self.biases
     }
 
-    /// Standard deviation of the angle about an axis of the lower joint, rad; `axis` from 0 to D - 1. As [`Self::rotations_rad2`]
-    /// it holds noise, and neither systematic errors of the sensors nor soft tissue.
-    ///
-    /// # Panics
-    /// May where `axis` is not below D.
-    pub fn lower_sigma_rad(&self, axis: usize) -> f64 {
-        self.covariance::<1>(Self::LOWER + axis)[0].max(0.0).sqrt()
-    }
-
-    /// Covariance of the error of both joints' rotations, rad², 3 x 3: of the upper joint in the upper segment's axes, of the
-    /// lower joint in the lower segment's, where it is zero across the joint's axes. The filter's own: systematic errors of
-    /// the sensors are not in it (`docs/methods/body.md`, Uncertainty).
-    pub fn rotations_rad2(&self) -> [Matrix3<f64>; 2] {
-        let lower = self.lower.rotation_rad2_of(&self.covariance::<D>(Self::LOWER));
-        [self.covariance::<3>(0), lower]
-    }
-
-    /// Uncertainty of the upper segment about an axis, relative to the base, rad: root mean square over the three.
-    pub fn upper_sigma_rad(&self) -> f64 {
-        (self.covariance::<3>(0).trace() / 3.0).max(0.0).sqrt()
+    /// How uncertain it is, at the time of the last step.
+    pub fn spread(&self) -> LimbSpread {
+        let (upper_rad2, angles_rad2) = (self.covariance::<3>(0), self.covariance::<D>(Self::LOWER));
+        let upper_rad = (upper_rad2.trace() / 3.0).max(0.0).sqrt();
+        LimbSpread {
+            rotations_rad2: [upper_rad2, self.lower.rotation_rad2(&angles_rad2)],
+            sigma_rad: [upper_rad, libm::hypot(angles_rad2[(0, 0)].max(0.0).sqrt(), upper_rad)],
+        }
     }
 
     /// Lengths, places and mountings, as far as the limb's movements have shown them, and how well the mountings are known.

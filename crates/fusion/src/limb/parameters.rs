@@ -194,7 +194,7 @@ impl Dependence {
         }
     }
 
-    /// Of the place of the sensor; `lever` is [`lever`] of its frame.
+    /// Of the place of the sensor; `lever` is that of its frame ([`posed_geometry::so3::lever`]).
     pub(super) fn place(&mut self, which: Which, back: &Matrix3<f64>, lever: &Matrix3<f64>) {
         set(&mut self.accel, place(which), &(back * lever));
     }
@@ -211,11 +211,6 @@ impl Dependence {
             self.accel[(LENGTH, i)] = column[i];
         }
     }
-}
-
-/// How the specific force depends on the place in a frame that turns so.
-pub(super) fn lever(omega: &Vector3<f64>, alpha: &Vector3<f64>) -> Matrix3<f64> {
-    hat(alpha) + hat(omega) * hat(omega)
 }
 
 fn set(by: &mut ByParameters<3>, at: usize, block: &Matrix3<f64>) {

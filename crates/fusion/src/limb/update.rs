@@ -9,9 +9,10 @@ use serde::{Deserialize, Serialize};
 use super::chain::{Motion, Rows};
 use super::covariance::Covariance;
 use super::joint::Joint;
-use super::parameters::{ByParameters, Dependence, GYRO_SHARE, Learning, PARAMETERS, SLOW_RAD_S, lever};
+use super::parameters::{ByParameters, Dependence, GYRO_SHARE, Learning, PARAMETERS, SLOW_RAD_S};
 use super::{Base, Limb, Which};
 use crate::ahrs::ImuSample;
+use posed_geometry::so3::lever;
 use posed_geometry::wrapped_rad;
 
 /// 99.9 % of chi squared with 3 degrees of freedom: beyond it a sample is not believed.
@@ -118,7 +119,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
             Motion::<N>::of_base(base.angular_velocity_rad_s, base.accel_rad_s2, base.specific_force_m_s2);
         motion.shift(&g.base_to_joint_m);
         self.upper.rotate(&mut motion, 0);
-        let upper = motion.frame();
+        let upper = self.p.depends.then(|| motion.frame());
         let (q_segment_sensor, bias_at) = match which {
             Which::Upper => {
                 motion.shift(&g.upper_imu_m);
@@ -133,7 +134,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         };
         let back = q_segment_sensor.to_rotation_matrix().into_inner().transpose();
         let mut dependence = Dependence::none();
-        if self.p.depends {
+        if let Some(upper) = upper {
             let frame = motion.frame();
             let from =
                 |q: &UnitQuaternion<f64>| back * (frame.q.inverse() * q).to_rotation_matrix().into_inner();

@@ -1,77 +1,43 @@
-//! Two passes over a covariance, four numbers at a time where the machine can.
+//! Passes over a covariance and what stands beside it, four numbers at a time where the machine can.
 //!
 //! In: matrices. Out: the same to the last bit on every machine: AVX multiplies and adds as any other instructions do, only more at
 //! once; what would fuse the two (FMA) is left alone. The program is built for the oldest x86-64, which has two at a time.
 
 use nalgebra::SMatrix;
 
-/// `p h'`, all M columns in one pass over `p`; columns of `h` from `columns` on are zero.
-pub(super) fn product<const M: usize, const N: usize, const R: usize>(
-    p: &SMatrix<f64, R, N>,
-    h: &SMatrix<f64, M, N>,
-    columns: usize,
-) -> SMatrix<f64, R, M> {
-    #[cfg(target_arch = "x86_64")]
-    if std::is_x86_feature_detected!("avx") {
-        #[target_feature(enable = "avx")]
-        fn avx<const M: usize, const N: usize, const R: usize>(
-            p: &SMatrix<f64, R, N>,
-            h: &SMatrix<f64, M, N>,
-            columns: usize,
-        ) -> SMatrix<f64, R, M> {
-            plain_product(p, h, columns)
+/// A pass that is compiled twice: as it stands, and with AVX for a machine that has it.
+macro_rules! wide {
+    ($(#[$doc:meta])* $name:ident <$($size:ident),+> ($($argument:ident: $kind:ty),+) -> $out:ty = $plain:ident) => {
+        $(#[$doc])*
+        pub(super) fn $name<$(const $size: usize),+>($($argument: $kind),+) -> $out {
+            #[cfg(target_arch = "x86_64")]
+            if std::is_x86_feature_detected!("avx") {
+                #[target_feature(enable = "avx")]
+                fn avx<$(const $size: usize),+>($($argument: $kind),+) -> $out {
+                    $plain($($argument),+)
+                }
+                #[expect(unsafe_code, reason = "the machine has been asked")]
+                // SAFETY: this machine has AVX.
+                return unsafe { avx($($argument),+) };
+            }
+            $plain($($argument),+)
         }
-        #[expect(unsafe_code, reason = "the machine has been asked")]
-        // SAFETY: this machine has AVX.
-        return unsafe { avx(p, h, columns) };
-    }
-    plain_product(p, h, columns)
+    };
 }
 
-/// `p -= a b' + b a'`, in one pass over `p`; what is symmetric stays so to the last bit.
-pub(super) fn subtract_both<const M: usize, const N: usize>(
-    p: &mut SMatrix<f64, N, N>,
-    a: &SMatrix<f64, N, M>,
-    b: &SMatrix<f64, N, M>,
-) {
-    #[cfg(target_arch = "x86_64")]
-    if std::is_x86_feature_detected!("avx") {
-        #[target_feature(enable = "avx")]
-        fn avx<const M: usize, const N: usize>(
-            p: &mut SMatrix<f64, N, N>,
-            a: &SMatrix<f64, N, M>,
-            b: &SMatrix<f64, N, M>,
-        ) {
-            plain_subtract_both(p, a, b);
-        }
-        #[expect(unsafe_code, reason = "the machine has been asked")]
-        // SAFETY: this machine has AVX.
-        return unsafe { avx(p, a, b) };
-    }
-    plain_subtract_both(p, a, b);
+wide! {
+    /// `p h'`, all M columns in one pass over `p`; columns of `h` from `columns` on are zero.
+    product<M, N, R>(p: &SMatrix<f64, R, N>, h: &SMatrix<f64, M, N>, columns: usize) -> SMatrix<f64, R, M> = plain_product
 }
 
-/// `p -= a b'`, in one pass over `p`.
-pub(super) fn subtract<const M: usize, const N: usize, const R: usize>(
-    p: &mut SMatrix<f64, R, N>,
-    a: &SMatrix<f64, R, M>,
-    b: &SMatrix<f64, N, M>,
-) {
-    #[cfg(target_arch = "x86_64")]
-    if std::is_x86_feature_detected!("avx") {
-        #[target_feature(enable = "avx")]
-        fn avx<const M: usize, const N: usize, const R: usize>(
-            p: &mut SMatrix<f64, R, N>,
-            a: &SMatrix<f64, R, M>,
-            b: &SMatrix<f64, N, M>,
-        ) {
-            plain_subtract(p, a, b);
-        }
-        #[expect(unsafe_code, reason = "the machine has been asked")]
-        // SAFETY: this machine has AVX.
-        return unsafe { avx(p, a, b) };
-    }
-    plain_subtract(p, a, b);
+wide! {
+    /// `p -= a b' + b a'`, in one pass over `p`; what is symmetric stays so to the last bit.
+    subtract_both<M, N>(p: &mut SMatrix<f64, N, N>, a: &SMatrix<f64, N, M>, b: &SMatrix<f64, N, M>) -> () = plain_subtract_both
+}
+
+wide! {
+    /// `p -= a b'`, in one pass over `p`.
+    subtract<M, N, R>(p: &mut SMatrix<f64, R, N>, a: &SMatrix<f64, R, M>, b: &SMatrix<f64, N, M>) -> () = plain_subtract
 }
 
 #[inline(always)]
@@ -152,5 +118,11 @@ mod tests {
         plain_subtract_both(&mut plain, &gain, &cross);
         assert_eq!(p, plain);
         assert_eq!(p, p.transpose());
+        let by = SMatrix::<f64, 16, 3>::from_fn(|i, j| value(i, j + 5));
+        let mut beside = SMatrix::<f64, 16, 21>::from_fn(value);
+        let mut plain = beside;
+        subtract(&mut beside, &by, &gain);
+        plain_subtract(&mut plain, &by, &gain);
+        assert_eq!(beside, plain);
     }
 }

@@ -5,11 +5,11 @@
 //! `|a1 - G(w1, dw1) o1| = |a2 - G(w2, dw2) o2|` with `G o = dw x o + w x (w x o)`. On a hinge the place along the
 //! axis does not show; the least of them is taken.
 
-use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
+use nalgebra::{Matrix6, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
 use super::Refused;
-use posed_geometry::so3::hat;
+use posed_geometry::so3::lever;
 
 const MIN_SAMPLES: usize = 100;
 /// A sample's specific force is good to this, m/s².
@@ -83,7 +83,7 @@ fn linearise(samples: &[[Motion; 2]], o: &Vector6<f64>) -> (f64, Vector6<f64>, M
         let mut norms = [0.0; 2];
         let mut row = Vector6::zeros();
         for (i, (w, dw, a)) in pair.iter().enumerate() {
-            let g: Matrix3<f64> = hat(dw) + hat(w) * hat(w);
+            let g = lever(w, dw);
             let at_joint = a - g * o.fixed_rows::<3>(3 * i);
             norms[i] = at_joint.norm().max(1e-9);
             let sign = if i == 0 { -1.0 } else { 1.0 };
