@@ -136,9 +136,11 @@ pub struct RawPose {
 }
 
 impl RawPose {
+    /// A coordinate at the end of its words says nothing of the place: its position is none.
     fn of(measured: Option<&Measured>) -> Self {
+        let whole = measured.filter(|measured| !measured.clipped);
         Self {
-            position_m: measured.and_then(|measured| measured.position_m).unwrap_or([f64::NAN; 3]),
+            position_m: whole.and_then(|measured| measured.position_m).unwrap_or([f64::NAN; 3]),
             orientation_wxyz: measured
                 .and_then(|measured| measured.orientation_wxyz)
                 .unwrap_or([f64::NAN; 4]),

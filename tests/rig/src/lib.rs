@@ -15,12 +15,13 @@ pub mod wand;
 use std::path::{Path, PathBuf};
 
 use nalgebra::Vector3;
-use posed_field::{FieldMap, FieldNoise, fit_known};
+use posed_field::{FieldMap, FieldNoise, Prepared, fit_known};
+use posed_motion::fault_map::FaultMap;
 use posed_recording::{Header, Machine, Replayable, Writer};
 use posed_simulator::scenario::{Scenario, StageSpec};
 use posed_simulator::stage::VirtualStage;
 use posed_stage::Stage;
-use posed_stage::input::Entry;
+use posed_stage::input::{Entry, Input, Model};
 use serde::Deserialize;
 
 pub use host::{Host, Sleepy};
@@ -69,10 +70,14 @@ pub fn demo_stage() -> (Stage, Scenario) {
     (stage, scenario)
 }
 
-/// The stage of `posed demo`, and its rig.
+/// The stage of `posed demo`, and its rig, with the maps of its field and of its faults, as the program has them.
 pub fn demo() -> (Stage, Rig) {
     let (stage, scenario) = demo_stage();
-    let rig = Rig::new(&stage, &scenario);
+    let mut rig = Rig::new(&stage, &scenario);
+    let fault_map: FaultMap = serde_json::from_str(include_str!("../../../config/demo-faults.json")).unwrap();
+    rig.push(Input::Model(Model::Faults { fault_map: Box::new(fault_map) }));
+    let map: FieldMap = serde_json::from_str(include_str!("../../../config/demo-field.json")).unwrap();
+    rig.push(Input::Model(Model::Field { version: 1, map: Some(Prepared::new(map)) }));
     (stage, rig)
 }
 

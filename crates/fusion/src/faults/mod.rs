@@ -25,6 +25,9 @@ use crate::noise::TrackerNoise;
 /// The fault map contradicts the prediction for so many records before it is believed.
 const CONVINCED_RECORDS: u32 = 30;
 
+/// A side is clearly the nearer one where its distance is below this part of the other's.
+const CLEARLY: f64 = 1.0 / 3.0;
+
 /// A measured pose of one sensor in the transmitter frame.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub struct MeasuredPose {
@@ -81,6 +84,9 @@ pub struct Detector {
     mirror: Option<Mirror>,
     /// Where it was last inside its gate, repaired if need be, or known to be since, device axes, m.
     last_m: Option<Vector3<f64>>,
+    /// Something else has just said so; and it said on which side the track began, which the fault map does not dispute then.
+    heard: bool,
+    told: bool,
     /// It has been inside its gate once.
     tracked: bool,
     /// Records in a row in which prediction and fault map disagreed about the side.
@@ -100,6 +106,7 @@ impl Detector {
     /// Something else knows where the sensor is, device axes, m: that says more of the side than where it was when it was lost.
     pub fn known_at(&mut self, position_m: Vector3<f64>) {
         self.last_m = Some(position_m);
+        self.heard = true;
     }
 
     /// Labels one measurement.
@@ -107,7 +114,7 @@ impl Detector {
     /// `prediction` is the filter's, at the measurement's time; `None` while nothing is tracked.
     /// `others_move` states whether another sensor of the stage was moving in the previous frame; `by_map` is what the
     /// stage's fault map reports about the sensor in this frame, if there is one. The prediction determines the side of the
-    /// transmitter, and where there is none, the map.
+    /// transmitter; where there is none, what else knows the place ([`Self::known_at`]), and where nothing does, the map.
     pub fn check(
         &mut self,
         pose: &MeasuredPose,
@@ -140,7 +147,8 @@ impl Detector {
 
     /// Prediction and map may disagree about the side: nothing is good then, until the map has it.
     fn settle(&mut self, pose: &MeasuredPose, checked: Checked, by_map: Option<Option<Mirror>>) -> Checked {
-        let (Class::Clean | Class::Inverted, Some(by_map)) = (checked.label.class, by_map) else {
+        let (Class::Clean | Class::Inverted, Some(by_map), false) = (checked.label.class, by_map, self.told)
+        else {
             return checked;
         };
         // Which mirror image, the prediction knows better.
@@ -216,7 +224,18 @@ impl Detector {
     /// have left either, or been set right, while nobody looked.
     fn begin(&mut self, pose: &MeasuredPose) -> Checked {
         self.mirror = self.nearer_side(pose);
+        self.told = std::mem::take(&mut self.heard) && self.is_clearly_nearer(pose);
         Checked::on_side(self.mirror, pose)
+    }
+
+    /// Whether the side that was taken is so much nearer to where the sensor is known to be that the other one is out of the question.
+    fn is_clearly_nearer(&self, pose: &MeasuredPose) -> bool {
+        let (Some(position_m), Some(last_m)) = (pose.position_m, self.last_m) else { return false };
+        let mirror = self.mirror.unwrap_or(Mirror::Point);
+        let here_m = (position_m - last_m).norm();
+        let there_m = (Vector3::from(mirror.apply(position_m.into())) - last_m).norm();
+        let (taken_m, other_m) = if self.mirror.is_some() { (there_m, here_m) } else { (here_m, there_m) };
+        taken_m < CLEARLY * other_m
     }
 
     /// The side that is nearer to where it was last; the latest one where it never was.

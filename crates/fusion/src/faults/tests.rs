@@ -218,3 +218,30 @@ fn the_map_alone_says_in_which_mirror_a_sensor_is() {
         assert_eq!((checked.label, checked.pose, checked.repair), expected);
     }
 }
+
+#[test]
+fn what_else_knows_the_place_counts_before_the_map() {
+    let prediction = expected(Vector3::new(0.4, 0.1, -0.2));
+    let mut records = 0.0;
+    // No two records are the same.
+    let mut pose = || {
+        records += 1e-6;
+        let position_m = Some(prediction.position_m + Vector3::new(records, 0.0, 0.0));
+        MeasuredPose { position_m, ..measured(&prediction) }
+    };
+    let by_map = Some(Label::INVERTED);
+    let mut detector = Detector::default();
+    detector.check(&pose().mirrored(Mirror::Point), Some(&prediction), &NOISE, false, None);
+    detector.known_at(prediction.position_m + Vector3::new(0.05, 0.0, 0.05));
+    assert_eq!(detector.check(&pose(), None, &NOISE, false, by_map).label, Label::CLEAN);
+    for _ in 0..2 * CONVINCED_RECORDS {
+        assert_eq!(detector.check(&pose(), Some(&prediction), &NOISE, true, by_map).label, Label::CLEAN);
+    }
+    // What is known halfway between both sides says nothing, and the next track is another one.
+    for known_m in [Some(Vector3::new(0.01, 0.0, 0.0)), None] {
+        known_m.into_iter().for_each(|known_m| detector.known_at(known_m));
+        detector.check(&pose(), None, &NOISE, false, by_map);
+        let check = |_| detector.check(&pose(), Some(&prediction), &NOISE, true, by_map).label;
+        assert_eq!((0..CONVINCED_RECORDS).map(check).last(), Some(Label::INVERTED));
+    }
+}

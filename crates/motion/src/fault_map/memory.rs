@@ -16,7 +16,7 @@ use super::side::{Side, Ways};
 
 /// A mirror image must be so many times nearer than the position itself.
 const FLIP_RATIO: f64 = 0.3;
-/// A sensor that was missing for longer has no memory of its side.
+/// A sensor that was missing, or whose words were stuck, for longer has no memory of its side.
 const MEMORY_FRAMES: u32 = 30;
 /// What a sensor may have moved while it was missing or stuck, at most, in steps.
 const BLIND_STEPS: f64 = 10.0;
@@ -51,6 +51,7 @@ pub(super) struct Memory {
     here: Point,
     step: Point,
     missing: u32,
+    stuck: u32,
     side: Side,
     /// What speaks for the vertical mirror in the latest frame, if it was followed there.
     through: Option<Through>,
@@ -104,24 +105,33 @@ impl Memory {
         let blind = std::mem::take(&mut self.missing) + self.words.stood_still();
         let evidence = if others_move { Evidence::OthersMove } else { Evidence::None };
         let repeats = self.words.take(p, evidence);
-        if first {
-            // Nothing to compare with but where it usually is.
-            let ways = Ways::of(p, habit.home_m);
-            let is_nearer = |image: f64| image < FLIP_RATIO * ways.same;
-            let side = Side::CLEAN;
-            self.through = Some(Through { side, same: p, ways, away: None, jumped: is_nearer(ways.image) });
-            let inverted = is_nearer(distance(Mirror::Point.apply(p), habit.home_m));
-            self.side = if inverted { side.through(Mirror::Point) } else { side };
-            self.here = self.side.undo(p);
-            return self.label();
-        }
-        self.moved = repeats == Repeats::Changed;
+        self.moved = repeats == Repeats::Changed && !first;
         self.through = None;
         if repeats == Repeats::Stuck {
+            self.stuck = self.stuck.saturating_add(1);
             return Label::anomalous(Cause::Stuck);
         }
-        self.follow(p, blind, habit);
+        let nobody_knows = std::mem::take(&mut self.stuck) > MEMORY_FRAMES;
+        if nobody_knows {
+            *self = Self { words: self.words, moved: self.moved, ..Self::default() };
+        }
+        if first || nobody_knows {
+            self.begin(p, habit);
+        } else {
+            self.follow(p, blind, habit);
+        }
         self.label()
+    }
+
+    /// Nothing to compare with but where it usually is.
+    fn begin(&mut self, p: Point, habit: &Habit) {
+        let ways = Ways::of(p, habit.home_m);
+        let is_nearer = |image: f64| image < FLIP_RATIO * ways.same;
+        let side = Side::CLEAN;
+        self.through = Some(Through { side, same: p, ways, away: None, jumped: is_nearer(ways.image) });
+        let inverted = is_nearer(distance(Mirror::Point.apply(p), habit.home_m));
+        self.side = if inverted { side.through(Mirror::Point) } else { side };
+        self.here = self.side.undo(p);
     }
 
     /// Where it was expected, if it has just jumped away from there.

@@ -1,5 +1,6 @@
 //! A figure of sixteen sensors with faults whose truth is known.
 
+use super::memory::{Habit, Memory};
 use super::rules::frame_label;
 use super::*;
 use posed_fusion::faults::{Cause, Mirror};
@@ -139,6 +140,21 @@ fn a_stuck_sensor_and_a_missing_one_are_reported() {
     assert_eq!(at(110, 5), Label::MISSING);
     assert_eq!(at(110, 0), Label::CLEAN);
     assert_eq!((at(200, 2).class, at(200, 5).class), (Class::Clean, Class::Clean));
+}
+
+/// A tracker that goes through a mirror and then beyond its reach, where its words stand still, may come back on either side.
+#[test]
+fn a_sensor_that_was_stuck_for_long_has_no_memory_of_its_side() {
+    let habit = Habit { jump_m: 0.05, step_m: 0.02, home_m: [0.8, 0.1, 0.1] };
+    for (stuck_frames, class) in [(10, Class::Inverted), (100, Class::Clean)] {
+        let mut memory = Memory::default();
+        let mut take = |p: [f64; 3]| memory.take(p, &habit, true).class;
+        (0..50).for_each(|k| assert_eq!(take([0.8, 0.1 + 1e-3 * f64::from(k), 0.1]), Class::Clean));
+        assert_eq!(take([-0.8, -0.15, -0.1]), Class::Inverted);
+        (0..stuck_frames).for_each(|_| _ = take([-0.9, -0.15, -0.1]));
+        assert_eq!(take([-0.9, -0.15, -0.1]), Class::Anomalous);
+        assert_eq!(take(if class == Class::Clean { [0.8, 0.12, 0.1] } else { [-0.85, -0.15, -0.1] }), class);
+    }
 }
 
 #[test]
