@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use posed_recording::animation::{self, BoneNames};
+use posed_recording::animation::{self, BoneNames, OpensimModel};
 use posed_recording::export::{self, Frame};
 use posed_recording::movement;
 
@@ -19,7 +19,7 @@ use super::{Error, print, print_json};
 pub(crate) struct Args {
     /// The recording.
     recording: PathBuf,
-    /// csv: filtered poses with their state. jsonl: every published message, one on each line. bvh, glb, vrm, vrma, usda, trc, c3d, sto: the body.
+    /// csv: filtered poses with their state. jsonl: every published message, one on each line. bvh, glb, vrm, vrma, usda, trc, c3d, sto, mot: the body.
     /// mcap: a recording with every message and all channels for viewers.
     #[arg(long, value_enum)]
     to: Format,
@@ -29,6 +29,9 @@ pub(crate) struct Args {
     /// Names of the bones in a bvh file, and its unit: m, or cm for MotionBuilder and Mixamo.
     #[arg(long, value_enum, default_value = "posed")]
     bones: BoneNames,
+    /// The model of OpenSim whose coordinates a mot file has.
+    #[arg(long, value_enum, default_value = "rajagopal")]
+    model: OpensimModel,
     /// The body that an animation shows, by name, of a recording with several.
     #[arg(long, value_name = "NAME")]
     body: Option<String>,
@@ -52,11 +55,12 @@ enum Format {
     Usda,
     C3d,
     Sto,
+    Mot,
     Mcap,
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
-    let Args { recording, to, output, bones, body: who, frame, json } = args;
+    let Args { recording, to, output, bones, model, body: who, frame, json } = args;
     let mut progress = Progress::over(&recording, "exporting");
     if frame != Frame::Room && to != Format::Csv {
         return Err(Error::Usage("--frame is for --to csv; everything else is in the room's axes".into()));
@@ -65,6 +69,9 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         return Err(Error::Usage(
             "--bones is for --to bvh; the other formats have names of their own".into(),
         ));
+    }
+    if model != OpensimModel::Rajagopal && to != Format::Mot {
+        return Err(Error::Usage("--model is for --to mot".into()));
     }
     if who.is_some() && matches!(to, Format::Jsonl | Format::Csv | Format::Mcap) {
         return Err(Error::Usage(
@@ -84,6 +91,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         Format::Usda => body(animation::Format::Usda)?,
         Format::C3d => body(animation::Format::C3d)?,
         Format::Sto => body(animation::Format::Sto)?,
+        Format::Mot => body(animation::Format::Mot(model))?,
         Format::Jsonl => {
             export::jsonl(&recording, &output, |bytes| progress.at(bytes)).map_err(Error::failed)?
         }

@@ -50,7 +50,7 @@ struct Solve {
     /// The body of the stage, by name, where it has several.
     #[arg(long, value_name = "NAME")]
     body: Option<String>,
-    /// Where segments and angles go; the human skeleton also to an animation that ends in .bvh, .trc, .glb, .vrm, .vrma, .usda, .c3d or .sto.
+    /// Where segments and angles go; the human skeleton also to an animation that ends in .bvh, .trc, .glb, .vrm, .vrma, .usda, .c3d, .sto or .mot.
     #[arg(short, long, value_name = "ANGLES.csv")]
     output: PathBuf,
     /// Samples per second of each sensor, for a file without a column `t`.

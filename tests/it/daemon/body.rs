@@ -65,7 +65,7 @@ async fn the_demo_s_body_stands_moves_and_is_exported_from_its_recording() {
     assert_eq!(posed_demo.end("INT").await.code(), Some(0));
 
     let recording = folder.path().join("recordings/take.mcap");
-    for to in ["bvh", "trc", "glb", "vrm", "vrma", "usda", "c3d", "sto"] {
+    for to in ["bvh", "trc", "glb", "vrm", "vrma", "usda", "c3d", "sto", "mot"] {
         let output = folder.path().join(format!("take.{to}"));
         let args = ["export", recording.to_str().unwrap(), "--to", to, "-o", output.to_str().unwrap()];
         let done = posed(args);

@@ -1,16 +1,21 @@
-//! C3D: markers and the rotations of segments, for motion laboratories. Little-endian, floats, mm, z up, in blocks of 512 bytes: header, parameters,
-//! points, rotations (the extension that Qualisys, Theia and Visual3D share).
+//! C3D: markers, joint angles and the rotations of segments, for motion laboratories. Little-endian, floats, mm, z up, in blocks of 512 bytes: header,
+//! parameters, points, rotations (the extension that Qualisys, Theia and Visual3D share). Angles are points, as Vicon has them: x, y and z are a joint's
+//! angles in the order of the table, degrees, and `POINT:ANGLES` has their labels.
 
 use nalgebra::UnitQuaternion;
 
 use super::Frame;
 use super::markers::{MARKERS, points};
-use posed_fusion::body::{Skeleton, WHOLE, WholeSegment, whole};
+use posed_fusion::body::{
+    ANGLE_NAMES, BodySegment, SEGMENTS, Skeleton, WHOLE, WholeSegment, joint_angles, of_joint, whole,
+};
 
 const BLOCK: usize = 512;
 /// First block of the parameters, from 1.
 const PARAMETERS: usize = 2;
 const MM: f64 = 1000.0;
+/// Markers, and a joint's angles above each segment but the pelvis.
+const POINTS: usize = MARKERS.len() + SEGMENTS - 1;
 /// Frames that a word can count.
 const COUNTED: usize = 65_535;
 
@@ -25,6 +30,11 @@ pub(super) fn bytes(skeleton: &Skeleton, rate_hz: f64, frames: &[Frame]) -> Vec<
         for point in points(skeleton, frame) {
             // The last word is the residual; below zero the point would be missing.
             put(&mut data, &[point.x * MM, point.y * MM, point.z * MM, 0.0]);
+        }
+        for (parent, segment) in joints() {
+            let q = frame.orientations[parent.index()].inverse() * frame.orientations[segment.index()];
+            let [x, y, z, ..] = joint_angles(segment, &q).map(f64::to_degrees);
+            put(&mut data, &[x, y, z, 0.0]);
         }
     }
     fill(&mut data);
@@ -50,10 +60,21 @@ pub(super) fn bytes(skeleton: &Skeleton, rate_hz: f64, frames: &[Frame]) -> Vec<
     out
 }
 
+/// Joints by the segments beside them, in the order of [`BodySegment::ALL`].
+fn joints() -> impl Iterator<Item = (BodySegment, BodySegment)> {
+    BodySegment::ALL.into_iter().filter_map(|segment| Some((segment.parent()?, segment)))
+}
+
+/// `hip_r_angles`.
+fn angles_label(segment: BodySegment) -> String {
+    let name = ANGLE_NAMES[of_joint(segment).start];
+    format!("{}_angles", name.rsplit_once('_').map_or(name, |(joint, _)| joint))
+}
+
 fn header(rate_hz: f64, frames: usize, data_block: usize) -> Vec<u8> {
     let mut out = vec![PARAMETERS as u8, 0x50];
     let counted = frames.min(COUNTED) as u16;
-    for word in [MARKERS.len() as u16, 0, 1, counted, 0] {
+    for word in [POINTS as u16, 0, 1, counted, 0] {
         out.extend(word.to_le_bytes());
     }
     // A scale below zero says that points are floats.
@@ -72,9 +93,11 @@ fn parameters(rate_hz: f64, frames: usize, [points, rotations]: [usize; 2]) -> V
     let float = |value: f64| (value as f32).to_le_bytes().to_vec();
     let rate = float(rate_hz);
     let names = WholeSegment::ALL.map(WholeSegment::name);
+    let angles: Vec<String> = joints().map(|(_, segment)| angles_label(segment)).collect();
+    let labels: Vec<&str> = MARKERS.into_iter().chain(angles.iter().map(String::as_str)).collect();
     let mut section = Section::default();
     section.group(1, "POINT");
-    section.scalar(1, "USED", WORDS, &word(MARKERS.len()));
+    section.scalar(1, "USED", WORDS, &word(POINTS));
     if frames <= COUNTED {
         section.scalar(1, "FRAMES", WORDS, &word(frames));
     } else {
@@ -84,8 +107,10 @@ fn parameters(rate_hz: f64, frames: usize, [points, rotations]: [usize; 2]) -> V
     section.scalar(1, "SCALE", FLOATS, &float(-1.0));
     section.scalar(1, "RATE", FLOATS, &rate);
     section.texts(1, "UNITS", &["mm"]);
-    section.texts(1, "LABELS", &MARKERS);
-    section.texts(1, "DESCRIPTIONS", &MARKERS);
+    section.texts(1, "LABELS", &labels);
+    section.texts(1, "DESCRIPTIONS", &labels);
+    section.texts(1, "ANGLES", &labels[MARKERS.len()..]);
+    section.texts(1, "ANGLE_UNITS", &["deg"]);
     section.texts(1, "X_SCREEN", &["+X"]);
     section.texts(1, "Y_SCREEN", &["+Z"]);
     section.group(2, "ANALOG");

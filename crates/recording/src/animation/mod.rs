@@ -11,6 +11,7 @@ mod gltf;
 mod humanoid;
 mod items;
 mod markers;
+mod mot;
 mod skin;
 mod sto;
 #[cfg(test)]
@@ -26,6 +27,7 @@ use thiserror::Error;
 
 pub use bvh::BoneNames;
 pub use items::{Item, Line, write_items};
+pub use mot::OpensimModel;
 
 use crate::atomic_file::AtomicFile;
 use posed_fusion::body::{SEGMENTS, Skeleton};
@@ -48,6 +50,8 @@ pub enum Format {
     C3d,
     /// Orientations of segments for OpenSim's OpenSense, a quaternion for each body.
     Sto,
+    /// Coordinates of the joints of one of OpenSim's models.
+    Mot(OpensimModel),
     /// USD as text, with a skeleton of UsdSkel and its animation, m.
     Usda,
 }
@@ -64,6 +68,7 @@ impl Format {
             "usda" => Some(Self::Usda),
             "c3d" => Some(Self::C3d),
             "sto" => Some(Self::Sto),
+            "mot" => Some(Self::Mot(OpensimModel::Rajagopal)),
             _ => None,
         }
     }
@@ -129,6 +134,7 @@ impl Animation {
             Format::Vrma => glb::bytes(&self.skeleton, &frames, glb::Kind::Vrma),
             Format::C3d => c3d::bytes(&self.skeleton, rate_hz, &frames),
             Format::Sto => sto::text(rate_hz, &frames).into_bytes(),
+            Format::Mot(model) => mot::text(rate_hz, &frames, model).into_bytes(),
             Format::Usda => usd::text(&self.skeleton, rate_hz, &frames).into_bytes(),
         };
         let failed = |source| AnimationError::Io { file: path.display().to_string(), source };

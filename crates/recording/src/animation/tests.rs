@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Rotation3};
 
 use super::*;
-use posed_fusion::body::{BodySegment, WHOLE, WholeSegment, joint_rotation, upright, whole};
+use posed_fusion::body::{BodySegment, Limb, WHOLE, WholeSegment, joint_rotation, upright, whole};
 
 /// A second of a moving body, unequally spaced.
 fn moving() -> Animation {
@@ -255,7 +255,7 @@ fn a_c3d_file_has_what_its_parameters_say() {
     let bytes = c3d::bytes(&animation.skeleton, rate_hz, &frames);
     let word = |at: usize| usize::from(u16::from_le_bytes([bytes[at], bytes[at + 1]]));
     let float = |at: usize| f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
-    assert_eq!((bytes[0], bytes[1], word(2), word(8), bytes.len() % 512), (2, 0x50, 19, frames.len(), 0));
+    assert_eq!((bytes[0], bytes[1], word(2), word(8), bytes.len() % 512), (2, 0x50, 33, frames.len(), 0));
     // From record to record, as a reader goes.
     let (mut at, mut starts) = (512 + 4, Vec::new());
     while bytes[at] != 0 {
@@ -269,7 +269,7 @@ fn a_c3d_file_has_what_its_parameters_say() {
     assert!(at < 512 * (1 + usize::from(bytes[514])));
     assert_eq!((starts.len(), starts[0]), (2, word(16)));
     // The last hips, mm, z up; and the last rotation's residual, behind which there are zeros alone.
-    let hips = 512 * (starts[0] - 1) + 16 * 19 * (frames.len() - 1);
+    let hips = 512 * (starts[0] - 1) + 16 * 33 * (frames.len() - 1);
     let expected = frames.last().unwrap().pelvis_m * 1000.0;
     assert!((f64::from(float(hips + 8)) - expected.z).abs() < 1e-3 && float(hips + 12) == 0.0);
     let rotations = 512 * (starts[1] - 1);
@@ -293,6 +293,78 @@ fn a_sto_file_has_a_quaternion_of_every_body() {
     for cell in &rows[1][1..] {
         let parts: Vec<f64> = cell.split(',').map(|part| part.parse().unwrap()).collect();
         assert!(parts.len() == 4 && (parts[0].abs() - 1.0).abs() < 1e-6, "{cell}");
+    }
+}
+
+/// Columns of a MOT file by their labels.
+fn read_mot(text: &str) -> Vec<(String, Vec<f64>)> {
+    let (_, table) = text.split_once("endheader\n").unwrap();
+    let mut lines = table.lines().map(|line| line.split('\t'));
+    let mut columns: Vec<(String, Vec<f64>)> =
+        lines.next().unwrap().map(|label| (label.to_owned(), Vec::new())).collect();
+    for line in lines {
+        for (column, cell) in columns.iter_mut().zip(line) {
+            column.1.push(cell.parse().unwrap());
+        }
+    }
+    columns
+}
+
+#[test]
+fn a_mot_file_has_the_coordinates_of_its_model() {
+    let animation = moving();
+    let (rate_hz, frames) = animation.even().unwrap();
+    let whole_body = read_mot(&mot::text(rate_hz, &frames, OpensimModel::Rajagopal));
+    let legs = read_mot(&mot::text(rate_hz, &frames, OpensimModel::Gait2392));
+    assert_eq!((whole_body.len(), legs.len()), (1 + 6 + 10 + 3 + 14, 1 + 6 + 10 + 3));
+    let last = |columns: &[(String, Vec<f64>)], label: &str| {
+        *columns.iter().find(|(known, _)| known == label).unwrap().1.last().unwrap()
+    };
+    let t = 0.98_f64;
+    for side in ["r", "l"] {
+        for (label, expected_rad) in
+            [("hip_flexion", 0.9), ("hip_adduction", 0.4), ("hip_rotation", -0.3), ("knee_angle", 0.9)]
+        {
+            let found = last(&whole_body, &format!("{label}_{side}"));
+            assert!((found - (expected_rad * t).to_degrees()).abs() < 0.2, "{label}_{side} {found}");
+        }
+        // Knees of the other model bend by negative angles; a palm that faces the thigh is a quarter turn from one that faces ahead.
+        let knee = format!("knee_angle_{side}");
+        assert!((last(&legs, &knee) + last(&whole_body, &knee)).abs() < 1e-6);
+        let pronation = last(&whole_body, &format!("pro_sup_{side}")) - 90.0;
+        assert!((pronation - (0.4 * t).to_degrees()).abs() < 0.2, "{pronation}");
+        let flexion = last(&whole_body, &format!("wrist_flex_{side}"));
+        assert!((flexion - (0.9 * t).to_degrees()).abs() < 0.2, "{flexion}");
+    }
+    // Forward is a negative extension. Up is y, and ahead is x.
+    assert!((last(&whole_body, "lumbar_extension") + (0.9 * t).to_degrees()).abs() < 0.2);
+    let height_m = last(&whole_body, "pelvis_ty");
+    assert!((height_m - 0.9).abs() < 1e-6 && last(&whole_body, "pelvis_tx") > 0.25, "{height_m}");
+}
+
+/// An arm that goes up sideways passes the pose in which two of its angles are one.
+#[test]
+fn coordinates_do_not_jump_where_an_arm_passes_the_horizontal() {
+    let mut animation = Animation::new(Skeleton::from_height(1.8));
+    for k in 0..=100 {
+        let mut all = [upright(); SEGMENTS];
+        for limb in [Limb::ArmR, Limb::ArmL] {
+            let [_, arm, forearm] = limb.segments();
+            let raised = Vector3::x() * (arm.side() * -0.025 * f64::from(k));
+            all[arm.index()] = upright()
+                * posed_geometry::so3::exp(&(Vector3::z() * 0.1))
+                * posed_geometry::so3::exp(&raised);
+            all[forearm.index()] = all[arm.index()];
+        }
+        all[BodySegment::HandR.index()] = all[BodySegment::ForearmR.index()];
+        all[BodySegment::HandL.index()] = all[BodySegment::ForearmL.index()];
+        animation.push(0.01 * f64::from(k), all, Vector3::zeros());
+    }
+    let (rate_hz, frames) = animation.even().unwrap();
+    for (label, column) in read_mot(&mot::text(rate_hz, &frames, OpensimModel::Rajagopal)) {
+        for (before, after) in column.iter().zip(&column[1..]) {
+            assert!((after - before).abs() < 2.0, "{label}: {before} {after}");
+        }
     }
 }
 
