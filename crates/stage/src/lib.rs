@@ -502,6 +502,9 @@ pub struct Mvn {
     /// Whether Euler angles (type 01, centimetres, y up) are sent beside quaternions, as some plug-ins need.
     #[serde(default)]
     pub euler: bool,
+    /// Whether velocities and accelerations of the segments (types 21 and 22) and the centre of mass (24) are sent, too.
+    #[serde(default)]
+    pub kinematics: bool,
 }
 
 /// Streams of Lab Streaming Layer: poses, joint angles, events. liblsl must be installed.

@@ -1,8 +1,8 @@
 //! The body as MVN's real-time network stream (MXTP), which plug-ins of programs for animation, engines and robots read.
 //!
 //! What comes in: the body. What goes out: datagrams of one sample, big-endian: positions and quaternions of all 23 segments (type 02), on request as
-//! Euler angles (01), joint angles (20) and the time (25); once a second who it is (12) and how it stands in a T-pose (13). It asks nobody and owns no
-//! socket. It sends all 23 segments or none: what no sensor shows is inferred as in files, since receivers drop figures with fewer.
+//! Euler angles (01), joint angles (20), on request how segments move (21, 22) and the centre of mass (24), and the time (25); once a second who it is
+//! (12) and how it stands in a T-pose (13). It asks nobody and owns no socket. It sends all 23 segments or none: what no sensor shows is inferred as in files, since receivers drop figures with fewer.
 //!
 //! # Axes
 //! World of all types but 01: the room's, x forward, y left, z up, m. Segments have their origin in the joint above, and in a T-pose with level arms that looks along x
@@ -11,16 +11,18 @@
 //!
 //! Layouts after the maker's specification MV0305P; what other readers disagree about is named in `docs/streams.md`.
 
+mod motion;
 #[cfg(test)]
 mod tests;
 mod wire;
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
+use self::motion::Track;
 use self::wire::Datagram;
 use crate::rate::Rate;
 use posed_fusion::body::{BodySegment, Skeleton, WHOLE, WholeSegment, completed, whole, whole_t_pose};
-use posed_geometry::orientation_from_wxyz;
+use posed_geometry::{orientation_from_wxyz, so3};
 use posed_stage::layout::{color_of, skeleton_of};
 use posed_stage::output::Body;
 use posed_stage::{BodyIndex, Stage};
@@ -41,6 +43,8 @@ pub struct Publisher {
     color: String,
     character: u8,
     euler: bool,
+    kinematics: bool,
+    track: Track,
     rate: Rate,
     sample: u32,
     /// When the first sample was, s, and when the last description.
@@ -63,6 +67,8 @@ impl Publisher {
             color: color_of(stage, body)[1..].to_owned(),
             character: settings.character.wrapping_add(body),
             euler: settings.euler,
+            kinematics: settings.kinematics,
+            track: Track::default(),
             rate: Rate::every(1.0 / settings.rate_hz.unwrap_or(DEFAULT_RATE_HZ)),
             sample: 0,
             began_s: None,
@@ -75,6 +81,9 @@ impl Publisher {
         let Some(skeleton) = self.skeleton.filter(|_| body.index == self.body) else { return };
         let Some(figure) = Figure::of(body, &skeleton) else { return };
         let t_s = body.t_valid.as_secs_f64();
+        if self.kinematics {
+            self.track.push(t_s, &figure);
+        }
         if !self.rate.is_due(t_s) {
             return;
         }
@@ -98,6 +107,13 @@ impl Publisher {
             emit(&figure.euler(&head));
         }
         emit(&figure.joint_angles(&head));
+        if self.kinematics {
+            emit(&figure.linear(&head, &self.track));
+            emit(&figure.angular(&head, &self.track));
+            let mut mass = Datagram::new(24, &head, 1);
+            mass.numbers(motion::centre_of_mass_m(&figure).iter());
+            emit(&mass.finish());
+        }
         let ms = (1e3 * t_s).round() as u64;
         let (s, min, h) = (ms / 1000 % 60, ms / 60_000 % 60, ms / 3_600_000);
         let mut time = Datagram::new(25, &head, 1);
@@ -108,6 +124,7 @@ impl Publisher {
     /// Lets time start anew, as after a jump in a replay.
     pub fn rewind(&mut self) {
         self.rate.rewind();
+        self.track.clear();
         self.began_s = None;
         self.described_s = f64::NEG_INFINITY;
     }
@@ -129,6 +146,7 @@ fn rest(head: &wire::Head, skeleton: &Skeleton) -> Vec<u8> {
 }
 
 /// The 23 at one time, by [`WholeSegment::index`].
+#[derive(Clone, Debug)]
 struct Figure {
     /// Segment to room, as ours.
     orientations: [UnitQuaternion<f64>; WHOLE],
@@ -177,6 +195,32 @@ impl Figure {
             let (x, y, z) = turned.euler_angles();
             datagram.count(id);
             datagram.numbers((y_up(at_m) * 100.0).iter().chain(&[x, y, z].map(f64::to_degrees)));
+        }
+        datagram.finish()
+    }
+
+    /// Type 21: places, velocities and accelerations, m and s.
+    fn linear(&self, head: &wire::Head, track: &Track) -> Vec<u8> {
+        let mut datagram = Datagram::new(21, head, WHOLE as u8);
+        for (id, at_m, _) in self.segments() {
+            let [velocity, acceleration] = track.derivatives(|of| of.origins_m[id as usize - 1] - at_m);
+            datagram.count(id);
+            datagram.numbers(at_m.iter().chain(velocity.iter()).chain(acceleration.iter()));
+        }
+        datagram.finish()
+    }
+
+    /// Type 22: quaternions, angular velocities and accelerations in the room, degrees and s.
+    fn angular(&self, head: &wire::Head, track: &Track) -> Vec<u8> {
+        let mut datagram = Datagram::new(22, head, WHOLE as u8);
+        for (id, _, q) in self.segments() {
+            let at = id as usize - 1;
+            let now = self.orientations[at].inverse();
+            let [velocity, acceleration] =
+                track.derivatives(|of| so3::log(&(of.orientations[at] * now)).map(f64::to_degrees));
+            datagram.count(id);
+            let turned = [&q.w, &q.i, &q.j, &q.k].into_iter();
+            datagram.numbers(turned.chain(velocity.iter()).chain(acceleration.iter()));
         }
         datagram.finish()
     }

@@ -179,3 +179,45 @@ fn what_is_not_shown_goes_with_its_parent_and_without_hips_nothing_is_sent() {
     publisher.rewind();
     assert_eq!(sent(&mut publisher, &body(0, &t_posed())).len(), 5);
 }
+
+#[test]
+fn velocities_are_those_of_a_body_that_speeds_up_and_turns() {
+    let mut publisher = publisher("kinematics = true\nrate_hz = 200.0");
+    let (accelerates, turns, t_ms) = (2.0_f64, 1.5_f64, 200_i64);
+    let mut all = Vec::new();
+    for ms in (0..=t_ms).step_by(10) {
+        let t = 1e-3 * ms as f64;
+        let turned = posed_geometry::so3::exp(&(Vector3::z() * (turns * t)));
+        let mut moved = body(ms, &t_posed().map(|q| turned * q));
+        let pelvis = &mut moved.segments[BodySegment::Pelvis.index()];
+        pelvis.position_m = Some([0.5 * accelerates * t * t, 0.0, 0.95]);
+        all = sent(&mut publisher, &moved);
+    }
+    let t = 1e-3 * t_ms as f64;
+    let near = |found: f64, expected: f64| (found - expected).abs() < 1e-3 * (1.0 + expected.abs());
+    let linear = items(of_type(&all, "21"), 1, 9);
+    let angular = items(of_type(&all, "22"), 1, 10);
+    let hips = &linear[0].1;
+    assert!(near(hips[3], accelerates * t) && near(hips[6], accelerates), "{hips:?}");
+    // A hand goes about the hips as well.
+    let (hand, arm) =
+        (&linear[14].1, Vector3::new(linear[14].1[0] - hips[0], linear[14].1[1] - hips[1], 0.0));
+    let expected = Vector3::x() * (accelerates * t) + (Vector3::z() * turns).cross(&arm);
+    assert!(
+        (hand[3] - expected.x).abs() < 5e-3 && (hand[4] - expected.y).abs() < 5e-3,
+        "{hand:?} {expected}"
+    );
+    for (id, numbers) in &angular {
+        assert!(near(numbers[6], turns.to_degrees()) && numbers[9].abs() < 0.1, "{id}: {numbers:?}");
+    }
+    // Of a body with raised arms a little above the hips, in its middle.
+    let mass = of_type(&all, "24");
+    let [x, y, z] = [24, 28, 32].map(|at| number(mass, at));
+    assert!(
+        mass.len() == 36 && (x - hips[0]).abs() < 0.02 && y.abs() < 0.02 && (1.0..1.1).contains(&z),
+        "{z}"
+    );
+    // Of who has just come nothing is known yet.
+    let still = sent(&mut self::publisher("kinematics = true"), &body(0, &t_posed()));
+    assert!(items(of_type(&still, "21"), 1, 9).iter().all(|(_, numbers)| numbers[3..] == [0.0; 6]));
+}
