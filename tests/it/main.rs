@@ -19,6 +19,7 @@ mod chromium;
 mod cli;
 mod daemon;
 mod exercise;
+mod exports;
 mod faults;
 mod faults_live;
 mod field;

@@ -25,7 +25,7 @@ use posed_stage::input::{Entry, Input, Model};
 use serde::Deserialize;
 
 pub use host::{Host, Sleepy};
-pub use people::{Member, people};
+pub use people::{Member, people, people_toml};
 pub use rig::{Rig, replay};
 pub use said::Said;
 

@@ -17,6 +17,13 @@ pub type Member = (&'static str, f64, Activity);
 /// A name is none for a body.
 #[must_use]
 pub fn people(cast: &[Member]) -> (Stage, Scenario) {
+    let (text, scenario) = people_toml(cast);
+    (Stage::parse(&text).unwrap_or_else(|problems| panic!("{problems}")), scenario)
+}
+
+/// The same with the stage as its file has it.
+#[must_use]
+pub fn people_toml(cast: &[Member]) -> (String, Scenario) {
     let mut text = String::from("name = \"clinic\"\n");
     let mut scenario = Scenario::default();
     for (name, height_m, activity) in cast {
@@ -50,5 +57,5 @@ pub fn people(cast: &[Member]) -> (Stage, Scenario) {
             ..DeviceScenario::default()
         });
     }
-    (Stage::parse(&text).unwrap_or_else(|problems| panic!("{problems}")), scenario)
+    (text, scenario)
 }
