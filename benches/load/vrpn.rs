@@ -1,6 +1,6 @@
 //! VRPN clients, good and bad, that connect by TCP.
 
-use posed_protocol::vrpn::wire::{GREETING, Messages};
+use posed_drivers::vrpn::wire::{GREETING, Messages};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 

@@ -17,6 +17,7 @@ pub mod rate;
 pub mod sample;
 pub mod session;
 pub mod slimevr;
+pub mod vrpn;
 pub mod x_imu3;
 pub mod xbus;
 

@@ -39,7 +39,7 @@ pub enum DeviceTime {
     /// begins anew with each set-up.
     Cycle(u64),
     /// The unit's counter, unwrapped by the driver, in ticks of a nominal `tick_s` seconds. Xbus: sample time (0.1 ms), else
-    /// sample counter (one period); x-IMU3: its clock (1 µs); MotionStar: the server's time since 1970 (1 ms).
+    /// sample counter (one period); x-IMU3: its clock (1 µs); MotionStar and VRPN: the server's time since 1970 (1 ms, 1 µs).
     Counter {
         /// Unwrapped count. It goes back when the device has restarted or set its clock; for an x-IMU3 also from one kind of
         /// message to another, by less than half an inertial period, since an average is dated to its middle.
@@ -65,8 +65,9 @@ pub struct Sample {
 /// What a sensor measured.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub enum Measurement {
-    /// A magnetic tracker's pose: sensor in transmitter axes, as the device computed it, without a measure of its error. No
-    /// protocol of such a tracker has a checksum: drivers check form and plausibility, so a damaged record may rarely pass.
+    /// A magnetic tracker's pose: sensor in transmitter axes, as the device computed it, without a measure of its error; or that of a
+    /// tracker of any kind behind a VRPN server, in the server's axes. No protocol of such a tracker has a checksum: drivers check form
+    /// and plausibility, so a damaged record may rarely pass.
     Pose {
         /// Position of the sensor in the transmitter frame, m (Flock, MotionStar: x forward, y right, z down). Absent in
         /// orientation-only formats. In the wrong half-space around the transmitter it is the negative of the true one.

@@ -138,7 +138,7 @@ pub trait Session {
     /// for or not; the other drivers, and a Flock that is only listened to, list those asked for, there or not.
     fn sensors(&self) -> &[SensorInfo];
     /// Nominal records per second of each sensor (x-IMU3: inertial ones), once known; nominal means by settings and answers, not
-    /// measured. `None` for SlimeVR, whose trackers send on change, and for a Flock that is only listened to.
+    /// measured. `None` for SlimeVR, whose trackers send on change, for a VRPN server, which does not say, and for a Flock that is only listened to.
     fn rate_hz(&self) -> Option<f64>;
     /// Records lost per sensor, in the order of [`Session::sensors`]; empty where a driver cannot know.
     fn losses(&self) -> &[Loss] {

@@ -11,6 +11,7 @@ mod head;
 mod motionstar;
 mod script;
 mod slimevr;
+mod vrpn;
 mod x_imu3;
 mod xbus;
 
@@ -19,5 +20,6 @@ pub use flock::flock;
 pub use head::HEAD;
 pub use motionstar::motionstar;
 pub use slimevr::slimevr;
+pub use vrpn::vrpn;
 pub use x_imu3::x_imu3;
 pub use xbus::xbus;

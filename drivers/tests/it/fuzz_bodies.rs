@@ -55,6 +55,7 @@ fn the_corpus_leads_to_samples() {
         ("fastrak", fuzzing::fastrak),
         ("motionstar", fuzzing::motionstar),
         ("slimevr", fuzzing::slimevr),
+        ("vrpn", fuzzing::vrpn),
     ] {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/corpus").join(target);
         let files = std::fs::read_dir(folder).unwrap().flatten();
@@ -70,7 +71,7 @@ fn the_corpus_leads_to_samples() {
 #[test]
 fn drivers_bear_anything() {
     let mut noise = Noise::new(7);
-    let mut published = [0; 6];
+    let mut published = [0; 7];
     for _ in 0..400 {
         let items = crate::matrix::xbus_items();
         let chain = crate::matrix::xbus_chain();
@@ -88,10 +89,13 @@ fn drivers_bear_anything() {
         let body = slime::motion_body(0, [1.0, 0.0, 0.0, 0.0], [0.0; 3]);
         Datagram { peer, data: &slime::encode(1, 23, &body) }.encode_into(&mut chunk);
         published[5] += fuzzing::slimevr(&input(&mut noise, None, &chunk, &chunk));
+        published[6] += fuzzing::vrpn(&input(&mut noise, Some((0, 1)), &[], &crate::matrix::vrpn()));
         // The messages of one device at the driver of another, and noise.
         let foreign = [noise.bytes(40), items, chain, crate::matrix::x_imu3_binary()].concat();
         let foreign = input(&mut noise, None, &[0xFA, 0xFF, 0x32, 0xFF, 0x01], &foreign);
-        for body in [fuzzing::flock as Body, fuzzing::fastrak, fuzzing::motionstar, fuzzing::slimevr] {
+        for body in
+            [fuzzing::flock as Body, fuzzing::fastrak, fuzzing::motionstar, fuzzing::slimevr, fuzzing::vrpn]
+        {
             body(&foreign);
         }
     }

@@ -8,6 +8,7 @@ mod matrix;
 mod motionstar;
 mod rig;
 mod slimevr;
+mod vrpn;
 mod x_imu3;
 mod xbus_captures;
 mod xbus_examples;

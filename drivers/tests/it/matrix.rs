@@ -13,6 +13,8 @@ use posed_drivers::flock::parser;
 use posed_drivers::flock::wire as flock;
 use posed_drivers::motionstar::wire as birdnet;
 use posed_drivers::slimevr::wire as slime;
+use posed_drivers::vrpn::reader::{Piece, Reader};
+use posed_drivers::vrpn::wire as vrpn_wire;
 use posed_drivers::x_imu3;
 use posed_drivers::xbus::message::{self, Configuration, Tracker};
 use posed_drivers::xbus::mtdata::{Block, Layout, Orientation};
@@ -155,6 +157,37 @@ fn fastrak_message(shape: fastrak::Shape) -> Vec<u8> {
     bytes
 }
 
+pub(crate) fn vrpn() -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let from = vrpn_wire::From { sender: 1, kind: 4, utc_ns: 1_700_000_000_250_000_000 };
+    vrpn_wire::pose(from, 0, [0.5, -0.25, 1.0], [0.5, 0.5, -0.5, 0.5], &mut bytes);
+    bytes
+}
+
+/// What a server begins with whose tracker 1 is `Head`.
+pub(crate) fn vrpn_greeting() -> Vec<u8> {
+    let mut bytes = vrpn_wire::GREETING.to_vec();
+    vrpn_wire::description(vrpn_wire::system::SENDER, 1, "Head", 0, &mut bytes);
+    vrpn_wire::description(vrpn_wire::system::TYPE, 4, vrpn_wire::types::POSE, 0, &mut bytes);
+    bytes
+}
+
+fn decode_vrpn(pieces: &[&[u8]]) -> Vec<String> {
+    let mut reader = Reader::default();
+    let mut out = Vec::new();
+    for piece in pieces {
+        reader.push(piece);
+        while let Some(piece) = reader.find() {
+            if let Piece::Pose(message) = piece
+                && let Ok(pose) = vrpn_wire::Pose::parse(message.payload)
+            {
+                out.push(format!("{} {} {pose:?}", message.sender, message.utc_us));
+            }
+        }
+    }
+    out
+}
+
 fn decode_xbus(pieces: &[&[u8]]) -> Vec<String> {
     let mut decoder = capture::Decoder::new();
     let mut out = Vec::new();
@@ -281,6 +314,7 @@ fn decoders() -> Vec<Decoder> {
         stream("fastrak text", fastrak_message(FASTRAK_TEXT), |pieces| decode_fastrak(FASTRAK_TEXT, pieces)),
         stream("motionstar", motionstar(), decode_motionstar),
         stream("flock", flock_message, decode_flock),
+        Decoder { preamble: vrpn_greeting(), ..stream("vrpn", vrpn(), decode_vrpn) },
         Decoder {
             is_stream: false,
             ..stream("slimevr", Datagram { peer, data: &motion }.encode(), decode_slimevr)

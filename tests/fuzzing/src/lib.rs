@@ -47,6 +47,7 @@ pub const TARGETS: &[Target] = &[
     target("fastrak", |data| _ = drivers::fastrak(data)),
     target("motionstar", |data| _ = drivers::motionstar(data)),
     target("slimevr", |data| _ = drivers::slimevr(data)),
+    target("vrpn", |data| _ = drivers::vrpn(data)),
     target("client_message", messages::client),
     target("foxglove_viewer", posed_protocol::foxglove::fuzz_viewer),
     target("vrpn_client", posed_protocol::vrpn::fuzz_client),

@@ -2,7 +2,9 @@
 
 use std::net::SocketAddr;
 
-use posed_protocol::vrpn::wire::{self, From, Messages, system};
+use posed_drivers::vrpn::wire::{self, From, Messages, system};
+use posed_drivers::vrpn::{Settings, VrpnSession};
+use posed_drivers::{LineEvent, Measurement, Output, Sample, Session, State, Timestamp};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream, UdpSocket};
 use tokio::time::timeout;
@@ -146,6 +148,53 @@ async fn a_client_that_asks_is_called_back() {
     assert_eq!(client.described().await.0, ["left", "right"]);
     assert_eq!(reported(&server, &mut client).await.1.1, 0);
     assert!(timeout(std::time::Duration::from_millis(50), listener.accept()).await.is_err());
+}
+
+/// The first `count` samples that our own driver makes of what our own server says.
+async fn read_back(server: &Running, session: &mut VrpnSession, count: usize) -> Vec<Sample> {
+    let mut stream = TcpStream::connect(server.vrpn.unwrap()).await.unwrap();
+    let mut samples = Vec::new();
+    let mut buffer = [0; 4096];
+    session.handle_line(Timestamp::ZERO, &LineEvent::Opened { modem_lines: false });
+    for frame in 1.. {
+        while let Some(output) = session.poll_output() {
+            match output {
+                Output::Transmit(bytes) => stream.write_all(&bytes).await.unwrap(),
+                Output::Sample(sample) => samples.push(sample),
+                Output::Warning(text) => panic!("{text}"),
+                _ => {}
+            }
+        }
+        if samples.len() >= count {
+            break;
+        }
+        server.frame(frame);
+        if let Ok(read) = timeout(std::time::Duration::from_millis(20), stream.read(&mut buffer)).await {
+            session.handle_bytes(Timestamp::from_nanos(frame as i64 * 1_000_000), &buffer[..read.unwrap()]);
+        }
+    }
+    samples
+}
+
+#[tokio::test]
+async fn our_own_driver_reads_what_our_own_server_serves() {
+    let server = server();
+    let settings = Settings { trackers: vec!["right".into(), "left".into()] };
+    let mut session = VrpnSession::new(settings, &[1, 2]).unwrap();
+    let mut last = 0;
+    for sample in read_back(&server, &mut session, 20).await {
+        let Measurement::Pose { position_m, orientation_wxyz: Some(q), .. } = sample.measurement else {
+            panic!("{sample:?}")
+        };
+        let frame = (last + 1..last + 100)
+            .find(|frame| estimate(*frame).sensors[0].pose.unwrap().position_m == position_m);
+        last = frame.unwrap_or_else(|| panic!("{sample:?} is no frame after {last}"));
+        let pose = estimate(last).sensors[0].pose.unwrap();
+        assert!(q.iter().zip(pose.orientation_wxyz).all(|(a, b)| (a - b).abs() < 1e-12));
+        assert_eq!(sample.address, 2, "the right one is missing and says nothing");
+    }
+    assert_eq!(*session.state(), State::Streaming);
+    assert_eq!((session.counters().rejected, session.counters().bytes_skipped), (0, 0));
 }
 
 #[tokio::test]

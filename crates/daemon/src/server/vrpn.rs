@@ -20,7 +20,8 @@ use super::listener::bind_first;
 use super::metrics::Metrics;
 use super::slots::{Slot, Slots};
 use crate::ports::ended;
-use posed_protocol::vrpn::{Catalogue, Peer, Publisher, Refused, wire};
+use posed_drivers::vrpn::wire::{self, Refused};
+use posed_protocol::vrpn::{Catalogue, Peer, Publisher};
 use posed_stage::Limits;
 
 /// Where it listens unless the stage file specifies otherwise.

@@ -8,19 +8,17 @@
 //! acceleration: it is the difference of the velocities of two frames.
 
 mod peer;
-pub mod wire;
 
 use std::sync::Arc;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_drivers::Timestamp;
 
-use self::wire::{From, system};
+use posed_drivers::vrpn::wire::{self, From, system, types};
 use posed_fusion::faults::Cause;
 use posed_stage::output::{Estimate, Outcome, OutcomeKind, PoseEstimate, SensorEstimate};
 
 pub use self::peer::Peer;
-pub use self::wire::Refused;
 
 /// Time in which the rotation of an angular velocity is made, s.
 pub const ROTATION_S: f64 = 0.01;
@@ -28,21 +26,13 @@ pub const ROTATION_S: f64 = 0.01;
 const MAX_STEP_S: f64 = 0.1;
 
 /// The types that are described to clients; their numbers are their places.
-const TYPES: [&str; 7] = [
-    "vrpn_Tracker Pos_Quat",
-    "vrpn_Tracker Velocity",
-    "vrpn_Tracker Acceleration",
-    "vrpn_Button Change",
-    "vrpn_Base text_message",
-    "vrpn_Base ping_message",
-    "vrpn_Base pong_message",
-];
+const TYPES: [&str; 7] =
+    [types::POSE, types::VELOCITY, types::ACCELERATION, types::BUTTON, types::TEXT, types::PING, types::PONG];
 const POSE: i32 = 0;
 const VELOCITY: i32 = 1;
 const ACCELERATION: i32 = 2;
 const BUTTON: i32 = 3;
 const TEXT: i32 = 4;
-const PING: &str = TYPES[5];
 const PONG: i32 = 6;
 
 /// What there is on a stage; it never changes.
@@ -142,7 +132,7 @@ impl Publisher {
 
 impl Tracker {
     fn pose(&mut self, t: Timestamp, pose: &PoseEstimate, from: impl Fn(i32) -> From, out: &mut Vec<u8>) {
-        wire::pose(from(POSE), pose.position_m.unwrap_or_default(), pose.orientation_wxyz, out);
+        wire::pose(from(POSE), 0, pose.position_m.unwrap_or_default(), pose.orientation_wxyz, out);
         let Some(orientation) = posed_geometry::orientation_from_wxyz(pose.orientation_wxyz) else { return };
         let velocity = Vector3::from(pose.velocity_m_s.unwrap_or_default());
         let angular_velocity = orientation * Vector3::from(pose.angular_velocity_rad_s);

@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use super::wire::{self, From, Message, Refused, system};
-use super::{Catalogue, PING, PONG};
+use posed_drivers::vrpn::wire::{self, From, Message, Refused, system, types};
+
+use super::{Catalogue, PONG};
 
 /// One client: its numbers for types and senders, which have nothing to do with ours.
 #[derive(Clone, Debug, Default)]
@@ -28,7 +29,7 @@ impl Peer {
             system::SENDER => self.senders.extend([message.description()?]),
             system::TYPE => self.types.extend([message.description()?]),
             system::LOG => return Err(Refused::Log),
-            kind if self.types.get(&kind).is_some_and(|name| name == PING) => {
+            kind if self.types.get(&kind).is_some_and(|name| name == types::PING) => {
                 // A name that is not here gets no answer, so that the client's operator is warned.
                 let requested = self.senders.get(&message.sender).and_then(|name| catalogue.number(name));
                 if let Some(sender) = requested {
@@ -53,7 +54,7 @@ mod tests {
         let mut emitted = Vec::new();
         wire::description(system::SENDER, 7, "b", 0, &mut emitted);
         wire::description(system::SENDER, 8, "c", 0, &mut emitted);
-        wire::description(system::TYPE, 3, PING, 0, &mut emitted);
+        wire::description(system::TYPE, 3, types::PING, 0, &mut emitted);
         for sender in [7, 8, 9] {
             wire::message(From { sender, kind: 3, utc_ns: 0 }, &[], &mut emitted);
         }
@@ -67,9 +68,15 @@ mod tests {
         let mut pong = Vec::new();
         wire::message(From { sender: 1, kind: PONG, utc_ns: 0 }, &[], &mut pong);
         assert_eq!(out, pong);
-        let log = Message { utc_ns: 0, sender: 3, kind: system::LOG, payload: &[] };
+        let log = Message { offset: 0, utc_us: 0, sender: 3, kind: system::LOG, payload: &[] };
         assert_eq!(peer.take(log, &catalogue, &mut out), Err(Refused::Log));
-        let bad = Message { utc_ns: 0, sender: 2000, kind: system::TYPE, payload: &[0, 0, 0, 2, b'x', 0] };
+        let bad = Message {
+            offset: 0,
+            utc_us: 0,
+            sender: 2000,
+            kind: system::TYPE,
+            payload: &[0, 0, 0, 2, b'x', 0],
+        };
         assert_eq!(peer.take(bad, &catalogue, &mut out), Err(Refused::Malformed));
     }
 }

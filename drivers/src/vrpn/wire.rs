@@ -1,24 +1,44 @@
-//! Messages of VRPN 7.x on a TCP connection, both ways.
+//! Messages of VRPN 7.x on a TCP connection, of clients and servers, both ways.
 //!
 //! What comes in: values, or bytes in pieces of any size. What goes out: the other of the two. All integers and doubles are
 //! big-endian. The length in a header does not count the padding that brings the next message to a multiple of eight bytes.
 
+use posed_state::Plain;
+
 /// What each side says first.
 pub const GREETING: [u8; 24] = *b"vrpn: ver. 07.38  0\0\0\0\0\0";
+/// What the greeting of every version begins with.
+pub const ANY_VERSION: &[u8] = b"vrpn: ver. ";
 /// So much of it must agree: other minor versions are understood.
 const AGREE: usize = 14;
+/// Where the version stands in it, as text.
+const VERSION: std::ops::Range<usize> = 11..16;
 /// Where the log mode stands in it.
 const LOG_MODE: usize = 18;
 /// Bytes of a header, its padding included.
 pub const HEADER: usize = 24;
-/// Longest message that is taken from a client.
+/// Longest message that is taken: the original's buffer.
 const MAX_LENGTH: usize = 64_000;
 /// Longest name that clients take.
 pub const MAX_NAME: usize = 95;
 /// Numbers of types and senders end here.
-const MAX_NUMBER: i32 = 2000;
+pub const MAX_NUMBER: i32 = 2000;
+/// Bytes of a pose's payload.
+pub const POSE: usize = 64;
 /// Bytes of a text's payload.
 const TEXT: usize = 1032;
+
+/// Names of types, as both sides describe them.
+pub mod types {
+    #![expect(missing_docs, reason = "the protocol's names")]
+    pub const POSE: &str = "vrpn_Tracker Pos_Quat";
+    pub const VELOCITY: &str = "vrpn_Tracker Velocity";
+    pub const ACCELERATION: &str = "vrpn_Tracker Acceleration";
+    pub const BUTTON: &str = "vrpn_Button Change";
+    pub const TEXT: &str = "vrpn_Base text_message";
+    pub const PING: &str = "vrpn_Base ping_message";
+    pub const PONG: &str = "vrpn_Base pong_message";
+}
 
 /// Types of system messages.
 pub mod system {
@@ -28,11 +48,11 @@ pub mod system {
     pub const LOG: i32 = -4;
 }
 
-/// Why a client is not served.
+/// Why the other end is not listened to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Refused {
-    /// The greeting is not that of a VRPN 7 client.
-    #[error("not a VRPN 7 client")]
+    /// The greeting is not one of VRPN 7.
+    #[error("it does not speak VRPN 7")]
     Greeting,
     /// It asks the server to write a log file.
     #[error("it asks this computer to write a log file, which is never done")]
@@ -47,20 +67,54 @@ pub enum Refused {
 /// # Errors
 /// Another protocol, another major version, or a log is asked for.
 pub fn check_greeting(bytes: &[u8; 24]) -> Result<(), Refused> {
-    if bytes[..AGREE] != GREETING[..AGREE] {
+    if !is_version_7(bytes) {
         return Err(Refused::Greeting);
     }
     if bytes[LOG_MODE] == b'0' { Ok(()) } else { Err(Refused::Log) }
 }
 
-/// One message of a client.
+/// Whether a greeting is one of version 7, whatever its minor number.
+pub fn is_version_7(greeting: &[u8; 24]) -> bool {
+    greeting[..AGREE] == GREETING[..AGREE]
+}
+
+/// The version of a greeting, such as `07.38`.
+pub fn version(greeting: &[u8; 24]) -> String {
+    String::from_utf8_lossy(&greeting[VERSION]).escape_debug().collect()
+}
+
+/// What a header says of its message, which need not be there yet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Header {
+    /// Bytes of the header and the payload, without padding.
+    pub length: usize,
+    /// When it was true: seconds since 1970, and microseconds.
+    pub seconds: u32,
+    /// The latter.
+    pub micros: u32,
+    /// Number of the sender, or what a system message has there.
+    pub sender: i32,
+    /// Number of the type.
+    pub kind: i32,
+}
+
+impl Header {
+    /// Bytes of the message on the wire.
+    pub fn whole(&self) -> usize {
+        HEADER + (self.length - HEADER).next_multiple_of(8)
+    }
+}
+
+/// One message, by the numbers of who sent it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Message<'a> {
-    /// When it was true: UTC, ns since 1970.
-    pub utc_ns: i64,
-    /// Number of the sender, by the client's own count.
+    /// Place in the stream of its first byte.
+    pub offset: u64,
+    /// When it was true: UTC, µs since 1970.
+    pub utc_us: u64,
+    /// Number of the sender.
     pub sender: i32,
-    /// Number of the type, by the client's own count; negative for [`system`] messages.
+    /// Number of the type; negative for [`system`] messages.
     pub kind: i32,
     /// What follows the header.
     pub payload: &'a [u8],
@@ -85,19 +139,32 @@ impl Message<'_> {
     }
 }
 
-/// Cuts what a client sends into messages.
-#[derive(Clone, Debug, Default)]
+/// Cuts what the other end sends into messages. It is told what to believe, and gives up one byte where it is told to.
+#[derive(Clone, Debug, Default, Plain)]
 pub struct Messages {
     buffer: Vec<u8>,
     start: usize,
+    /// Place in the stream of `buffer[0]`.
+    origin: u64,
 }
 
 impl Messages {
     /// Takes more bytes.
     pub fn push(&mut self, bytes: &[u8]) {
         self.buffer.drain(..self.start);
+        self.origin += self.start as u64;
         self.start = 0;
         self.buffer.extend_from_slice(bytes);
+    }
+
+    /// The bytes that belong to no message yet.
+    pub fn pending(&self) -> &[u8] {
+        &self.buffer[self.start..]
+    }
+
+    /// Gives up so many of them, or all.
+    pub fn skip(&mut self, bytes: usize) {
+        self.start = self.start.saturating_add(bytes).min(self.buffer.len());
     }
 
     /// The next whole message, if there is one.
@@ -105,22 +172,104 @@ impl Messages {
     /// # Errors
     /// A length that no message has; nothing behind it can be understood.
     pub fn find(&mut self) -> Result<Option<Message<'_>>, Refused> {
-        let pending = &self.buffer[self.start..];
-        let Some(header) = pending.first_chunk::<HEADER>() else { return Ok(None) };
-        let word =
-            |at: usize| i32::from_be_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
-        let length = usize::try_from(word(0)).map_err(|_| Refused::Malformed)?;
-        if !(HEADER..=MAX_LENGTH).contains(&length) {
+        Ok(self.ready(|_| true)?.map(|header| self.take(header)))
+    }
+
+    /// The header of the next message, if all of that is there.
+    ///
+    /// # Errors
+    /// A length that no message has, or the header is not believed.
+    pub fn ready(&self, is_believed: impl FnOnce(&Header) -> bool) -> Result<Option<Header>, Refused> {
+        let Some(bytes) = self.pending().first_chunk::<HEADER>() else { return Ok(None) };
+        let word = |at: usize| u32::from_be_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
+        let header = Header {
+            length: word(0) as usize,
+            seconds: word(4),
+            micros: word(8),
+            sender: word(12) as i32,
+            kind: word(16) as i32,
+        };
+        if !(HEADER..=MAX_LENGTH).contains(&header.length) || !is_believed(&header) {
             return Err(Refused::Malformed);
         }
-        let whole = HEADER + (length - HEADER).next_multiple_of(8);
-        if pending.len() < whole {
-            return Ok(None);
+        Ok((self.pending().len() >= header.whole()).then_some(header))
+    }
+
+    /// Takes the message whose header is [`Messages::ready`].
+    ///
+    /// # Panics
+    /// It is not.
+    pub fn take(&mut self, header: Header) -> Message<'_> {
+        let start = self.start;
+        self.start += header.whole();
+        Message {
+            offset: self.origin + start as u64,
+            utc_us: u64::from(header.seconds) * 1_000_000 + u64::from(header.micros),
+            sender: header.sender,
+            kind: header.kind,
+            payload: &self.buffer[start + HEADER..start + header.length],
         }
-        let utc_ns = i64::from(word(4) as u32) * 1_000_000_000 + i64::from(word(8)) * 1000;
-        let message = Message { utc_ns, sender: word(12), kind: word(16), payload: &pending[HEADER..length] };
-        self.start += whole;
-        Ok(Some(message))
+    }
+}
+
+/// What a tracker reports of one of its sensors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Number of the sensor, from 0.
+    pub sensor: u32,
+    /// m.
+    pub position_m: [f64; 3],
+    /// Sensor to the server's axes, unit quaternion with its scalar first.
+    pub orientation_wxyz: [f64; 4],
+}
+
+/// Why a pose is none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum BadPose {
+    /// The payload has another length, or a sensor number below 0.
+    #[error("no pose")]
+    Form,
+    /// A number that is not finite, or a quaternion further than [`NORM_ERROR`] from a unit one.
+    #[error("no rotation or not a number")]
+    Number,
+    /// Farther than [`REACH_M`].
+    #[error("farther than 100 m along an axis: the server may count in mm, and must in m")]
+    Far,
+    /// Exactly at the origin, which no measurement is: it is what servers send of what they do not see.
+    #[error("exactly at the origin: the server does not see it, or measures no position")]
+    Origin,
+}
+
+/// How far the norm of a quaternion may be from 1: servers compute in single precision, and some do not normalise.
+pub const NORM_ERROR: f64 = 1e-3;
+/// Farthest along an axis, m.
+pub const REACH_M: f64 = 100.0;
+
+impl Pose {
+    /// Reads the payload of a pose; the quaternion is normalised.
+    ///
+    /// # Errors
+    /// It is none that a tracker can have measured.
+    pub fn parse(payload: &[u8]) -> Result<Self, BadPose> {
+        let payload: &[u8; POSE] = payload.try_into().map_err(|_| BadPose::Form)?;
+        let sensor = i32::from_be_bytes([payload[0], payload[1], payload[2], payload[3]]);
+        let sensor = u32::try_from(sensor).map_err(|_| BadPose::Form)?;
+        let (numbers, _) = payload[8..].as_chunks();
+        let number = |at: usize| f64::from_be_bytes(numbers[at]);
+        let position_m = [number(0), number(1), number(2)];
+        let q = [number(6), number(3), number(4), number(5)];
+        let norm = q.iter().map(|value| value * value).sum::<f64>().sqrt();
+        let is_unit = (1.0 - NORM_ERROR..=1.0 + NORM_ERROR).contains(&norm);
+        if !is_unit || !position_m.iter().all(|value| value.is_finite()) {
+            return Err(BadPose::Number);
+        }
+        if position_m.iter().any(|value| value.abs() > REACH_M) {
+            return Err(BadPose::Far);
+        }
+        if position_m == [0.0; 3] {
+            return Err(BadPose::Origin);
+        }
+        Ok(Self { sensor, position_m, orientation_wxyz: q.map(|value| value / norm) })
     }
 }
 
@@ -163,9 +312,13 @@ pub fn description(system: i32, number: i32, name: &str, utc_ns: i64, out: &mut 
     message(From { sender: number, kind: system, utc_ns }, &payload, out);
 }
 
-/// Appends a pose: position in the room, m, and orientation, sensor to room, unit quaternion with its scalar first.
-pub fn pose(from: From, position_m: [f64; 3], orientation_wxyz: [f64; 4], out: &mut Vec<u8>) {
-    let mut payload = Doubles::<64>::new();
+/// Appends a pose of the sensor of this number, from 0: position in the room, m, and orientation, sensor to room, unit
+/// quaternion with its scalar first.
+pub fn pose(from: From, sensor: u32, position_m: [f64; 3], orientation_wxyz: [f64; 4], out: &mut Vec<u8>) {
+    let mut payload = Doubles::<POSE>::new();
+    for word in payload.bytes[..8].as_chunks_mut().0 {
+        *word = sensor.to_be_bytes();
+    }
     payload.put(&position_m);
     payload.put_quaternion(orientation_wxyz);
     message(from, &payload.bytes, out);
@@ -262,14 +415,20 @@ mod tests {
         );
         out.clear();
         let half = 0.5_f64.sqrt();
-        pose(From { sender: 1, kind: 4, utc_ns: AT }, [0.1, 0.2, -0.3], [half, 0.0, 0.0, half], &mut out);
-        let mut sheet = hex(
-            "00 00 00 58 65 53 f1 00 00 03 d0 90 00 00 00 01 00 00 00 04 00 00 00 10 00 00 00 00 00 00 00 00
+        pose(From { sender: 1, kind: 4, utc_ns: AT }, 2, [0.1, 0.2, -0.3], [half, 0.0, 0.0, half], &mut out);
+        same(
+            &out,
+            "00 00 00 58 65 53 f1 00 00 03 d0 90 00 00 00 01 00 00 00 04 00 00 00 10 00 00 00 02 00 00 00 02
              3f b9 99 99 99 99 99 9a 3f c9 99 99 99 99 99 9a bf d3 33 33 33 33 33 33 00 00 00 00 00 00 00 00
              00 00 00 00 00 00 00 00 3f e6 a0 9e 66 7f 3b cd 3f e6 a0 9e 66 7f 3b cd",
         );
-        sheet[20..24].fill(0);
-        assert_eq!(out, sheet);
+        let mut messages = Messages::default();
+        messages.push(&out);
+        let message = messages.find().unwrap().unwrap();
+        assert_eq!((message.utc_us, message.sender, message.kind), (AT as u64 / 1000, 1, 4));
+        let read = Pose::parse(message.payload).unwrap();
+        assert_eq!((read.sensor, read.position_m), (2, [0.1, 0.2, -0.3]));
+        assert!((read.orientation_wxyz[0] - half).abs() < 1e-15 && read.orientation_wxyz[1] == 0.0);
         out.clear();
         let from = From { sender: 1, kind: 5, utc_ns: AT };
         motion(from, [1.0, -2.0, 0.5], [1.0, 0.0, 0.0, 0.0], 0.01, &mut out);
@@ -284,6 +443,27 @@ mod tests {
         out.clear();
         text(from, &"ä".repeat(600), true, &mut out);
         assert_eq!((out.len(), &out[..4]), (HEADER + TEXT, &[0, 0, 4, 0x20][..]));
+    }
+
+    #[test]
+    fn a_pose_that_nobody_measured_is_refused() {
+        let read = |position_m, orientation_wxyz| {
+            let mut out = Vec::new();
+            pose(From { sender: 0, kind: 0, utc_ns: 0 }, 0, position_m, orientation_wxyz, &mut out);
+            Pose::parse(&out[HEADER..]).map(|pose| pose.orientation_wxyz)
+        };
+        let (at, upright) = ([0.1, 0.2, 1.7], [1.0, 0.0, 0.0, 0.0]);
+        assert_eq!(read(at, [1.0005, 0.0, 0.0, 0.0]), Ok(upright));
+        for q in [[0.0; 4], [1.01, 0.0, 0.0, 0.0], [f64::NAN, 0.0, 0.0, 1.0], [0.0, f64::INFINITY, 0.0, 0.0]]
+        {
+            assert_eq!(read(at, q), Err(BadPose::Number), "{q:?}");
+        }
+        assert_eq!(read([f64::NAN, 0.0, 0.0], upright), Err(BadPose::Number));
+        assert_eq!(read([f64::NEG_INFINITY, 0.0, 0.0], upright), Err(BadPose::Number));
+        assert_eq!(read([0.0, 0.0, 1700.0], upright), Err(BadPose::Far));
+        assert_eq!(read([0.0, -0.0, 0.0], upright), Err(BadPose::Origin));
+        assert_eq!(Pose::parse(&[0; 63]), Err(BadPose::Form));
+        assert_eq!(Pose::parse(&[0xFF; 64]), Err(BadPose::Form));
     }
 
     #[test]
