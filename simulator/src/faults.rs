@@ -93,7 +93,7 @@ pub enum Fault {
         /// For how long, s.
         duration_s: f64,
     },
-    /// An error code: it waits to be read (Flock), or comes between the data (Xbus, x-IMU3, SlimeVR, MotionStar).
+    /// An error code: it waits to be read (Flock), or comes between the data (Xbus, x-IMU3, SlimeVR, MotionStar, VRPN).
     Error {
         /// Which unit notes it.
         address: u16,

@@ -41,5 +41,6 @@ mod testing;
 pub mod truth;
 pub mod udp_network;
 mod upper_body;
+mod vrpn;
 mod x_imu3;
 mod xbus;

@@ -194,7 +194,7 @@ fn identity() -> [f64; 4] {
 pub struct DeviceScenario {
     /// Name of the stage's device.
     pub name: String,
-    /// Measurement rate of a Flock or a MotionStar at power-up, Hz; the others have one of their own.
+    /// Measurement rate of a Flock or a MotionStar at power-up and of a VRPN server, Hz; the others have one of their own.
     pub rate_hz: f64,
     /// How much slower than nominal its clock runs, parts per million.
     pub drift_ppm: f64,

@@ -19,6 +19,7 @@ use crate::random::{Purpose, Random};
 use crate::slimevr::{self, SlimeVr};
 use crate::stage::Link;
 use crate::udp_network::UdpNetwork;
+use crate::vrpn::{Target, Vrpn};
 use crate::x_imu3::{self, XImu3};
 use crate::xbus::{Tracker, Xbus};
 
@@ -67,10 +68,11 @@ impl Scenario {
             "slimevr" => Box::new(parts.slimevr()?),
             "motionstar" => Box::new(parts.motionstar()?),
             "fastrak" => Box::new(parts.fastrak()?),
+            "vrpn" => Box::new(parts.vrpn()?),
             driver => {
                 return Err(parts.wrong(format!(
-                    "driver `{driver}` cannot be simulated, only flock-of-birds, xbus, x-imu3, slimevr, motionstar \
-                     and fastrak"
+                    "driver `{driver}` cannot be simulated, only flock-of-birds, xbus, x-imu3, slimevr, motionstar, \
+                     fastrak and vrpn"
                 )));
             }
         };
@@ -256,6 +258,24 @@ impl Parts<'_> {
         let stations = self.stations(4)?.into_iter().map(Stylus::new).collect();
         Ok(Powered::new(self.config(), self.random(), |chassis| {
             Fastrak::new(stations, self.scene(), chassis)
+        }))
+    }
+
+    fn vrpn(&self) -> Result<Powered<Vrpn>, ScenarioError> {
+        let names = self.spec.serials.clone();
+        if !self.sensors.iter().all(|&(address, _)| (1..=names.len()).contains(&usize::from(address & 0xFF)))
+        {
+            return Err(self.wrong(
+                "the address of a sensor is 256 * sensor + tracker, trackers as many as `trackers` names",
+            ));
+        }
+        let target = |(address, sensor): &(u16, Sensor)| {
+            let random = Random::new(self.scenario.seed, Purpose::Signals(sensor.index));
+            Target::new(*address, sensor.clone(), random)
+        };
+        let targets: Vec<Target> = self.sensors.iter().map(target).collect();
+        Ok(Powered::new(self.config(), self.random(), |chassis| {
+            Vrpn::new(names, targets, transmitter_in_room(self.stage), self.given.rate_hz, chassis)
         }))
     }
 }

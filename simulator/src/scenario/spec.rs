@@ -56,14 +56,14 @@ impl StageSpec {
 pub struct DeviceSpec {
     /// Its name, by which a scenario and the sensors name it.
     pub name: String,
-    /// Its driver: `flock-of-birds`, `xbus`, `x-imu3`, `slimevr`, `motionstar`, `fastrak`.
+    /// Its driver: `flock-of-birds`, `xbus`, `x-imu3`, `slimevr`, `motionstar`, `fastrak`, `vrpn`.
     pub driver: String,
     /// Its port: `tcp://...` and `udp://...` name a network, anything else a serial line; empty by default. `auto` of SlimeVR is
     /// `udp://127.0.0.1:6969`.
     #[serde(default)]
     pub port: String,
     /// What its units call themselves, in the order of their numbers, where the stage names them: network addresses like
-    /// `A4:CF:12:D4:E5:F6` (SlimeVR). A unit without one gets an address of its own.
+    /// `A4:CF:12:D4:E5:F6` (SlimeVR; a unit without one gets an address of its own), names of trackers (VRPN).
     #[serde(default, rename = "trackers")]
     pub serials: Vec<String>,
     /// Line rate, bit/s: 115 200 where a stage file has none, 0 in the `Default` of this type.
@@ -100,7 +100,7 @@ impl DeviceSpec {
 
     /// Whether a serial line limits what it sends: also behind a serial server on a network.
     pub(crate) fn has_line(&self) -> bool {
-        let has_socket = matches!(self.driver.as_str(), "motionstar" | "x-imu3");
+        let has_socket = matches!(self.driver.as_str(), "motionstar" | "x-imu3" | "vrpn");
         let by_tcp = has_socket && self.port().starts_with("tcp://");
         !by_tcp && !self.port().starts_with("udp://")
     }

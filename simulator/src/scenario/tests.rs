@@ -216,6 +216,7 @@ fn every_driver_can_be_simulated_and_wrong_addresses_are_named() {
         let twice = of(driver, port, &[good[0], good[0]]).unwrap_err();
         assert!(twice.contains("taken twice"), "{twice}");
     }
+    assert!(of("vrpn", "tcp://x:3883", &[1]).unwrap_err().contains("256 * sensor + tracker"));
     assert!(of("vicon", "a", &[1]).unwrap_err().contains("cannot be simulated"));
     assert!(of("slimevr", "/dev/ttyUSB0", &[1]).unwrap_err().contains("udp://"));
 }
