@@ -76,6 +76,37 @@ fn a_warm_pipeline_does_not_allocate() {
     assert_eq!(taken, 0, "in {frames} frames with {events} events");
 }
 
+#[test]
+fn a_warm_pipeline_of_a_vrpn_server_does_not_allocate() {
+    let stage_file = Stage::parse(
+        "name = \"seen\"\n[[device]]\nname = \"cameras\"\ndriver = \"vrpn\"\nport = \"tcp://10.0.0.9:3883\"\n\
+         trackers = [\"Head\"]\n[[sensor]]\nname = \"head\"\ndevice = \"cameras\"\naddress = 1\n",
+    );
+    let stage_file = stage_file.unwrap();
+    let cameras = DeviceScenario { name: "cameras".into(), boot_ms: 0.0, ..DeviceScenario::default() };
+    let mut rig = Rig::new(&stage_file, &Scenario { devices: vec![cameras], ..Scenario::default() });
+    rig.run_until(6.0);
+    let mut pipeline = Pipeline::new(&stage_file).unwrap();
+    let warm = rig.log.partition_point(|entry| entry.t.as_secs_f64() < 3.0);
+    let mut good = 0;
+    let mut feed = |pipeline: &mut Pipeline, log: &[Entry]| {
+        for entry in log {
+            pipeline.push(entry, &mut |output| {
+                if let Output::Estimate(estimate) = output {
+                    good += u32::from(estimate.sensors[0].usable_pose().is_some());
+                }
+            });
+        }
+        good
+    };
+    let before_warm = feed(&mut pipeline, &rig.log[..warm]);
+    let before = allocations();
+    let frames = feed(&mut pipeline, &rig.log[warm..]) - before_warm;
+    let taken = allocations() - before;
+    assert!(frames > 250, "{frames} good poses");
+    assert_eq!(taken, 0, "in {frames} frames");
+}
+
 /// A fault map of this stage's own movements.
 fn faults(stage_file: &Stage, scenario: &Scenario) -> FaultMap {
     let mut rig = Rig::new(stage_file, &curling(None, scenario.clone()));

@@ -368,6 +368,51 @@ fn trackers_alone_show_the_whole_figure_and_where_it_is() {
 }
 
 #[test]
+fn a_tracker_of_a_vrpn_server_on_the_pelvis_says_where_a_body_of_imus_is() {
+    let far = Person { position_m: [3.0, 2.0, 0.0], ..squatting() };
+    let mut simulated = simulated(XBUS, &BodySegment::ALL, |n| n, far);
+    let seen = Stage::parse(
+        "name = \"seen\"\n[[device]]\nname = \"cameras\"\ndriver = \"vrpn\"\nport = \"tcp://10.0.0.9:3883\"\n\
+         trackers = [\"Hips\"]\n[[sensor]]\nname = \"hips\"\ndevice = \"cameras\"\naddress = 1\n",
+    );
+    let seen = seen.unwrap_or_else(|problems| panic!("{problems}"));
+    // The cameras see a plate on which the IMU of the pelvis sits.
+    let pelvis = BodySegment::Pelvis.index();
+    let mut hips = simulated.stage.sensors[pelvis].clone();
+    (hips.name, hips.device, hips.address) = ("hips".into(), "cameras".into(), 1);
+    let mut rides = simulated.scenario.sensors[pelvis].clone();
+    rides.name = "hips".into();
+    let hidden = Fault::BirdDies { address: 1, at_s: 5.0, duration_s: Some(1.5) };
+    simulated.stage.devices.extend(seen.devices);
+    simulated.stage.sensors.push(hips);
+    simulated.segments.push(BodySegment::Pelvis);
+    simulated.scenario.sensors.push(rides);
+    simulated.scenario.devices.push(DeviceScenario {
+        name: "cameras".into(),
+        boot_ms: 0.0,
+        faults: vec![hidden],
+        ..DeviceScenario::default()
+    });
+    let rig = simulated.run(9.0);
+    let (mut worst_m, mut seen, mut hidden) = (0.0_f64, 0, 0);
+    for body in bodies(&rig).into_iter().filter(|body| body.t_valid.as_secs_f64() > 3.0).step_by(10) {
+        let t_s = body.t_valid.as_secs_f64();
+        if body.position_source != PositionSource::Trackers {
+            assert!((5.0..7.0).contains(&t_s), "{t_s}: {:?}", body.position_source);
+            hidden += 1;
+            continue;
+        }
+        seen += 1;
+        let truth = simulated.truth(&rig, t_s)[pelvis].unwrap();
+        let position_m = Vector3::from(body.segments[pelvis].position_m.unwrap());
+        worst_m = worst_m.max((position_m - truth.translation.vector).norm());
+    }
+    println!("{seen} seen, {hidden} hidden, worst {:.1} mm", 1e3 * worst_m);
+    assert!(seen > 25 && hidden > 5, "{seen} {hidden}");
+    assert!(worst_m < 0.02, "{worst_m}");
+}
+
+#[test]
 fn a_dead_sensor_is_named_within_a_second_and_the_rest_keeps_moving() {
     let mut simulated = simulated(X_IMU3, &BodySegment::ALL, |n| n + 40, squatting());
     let address = 41 + BodySegment::ForearmL.index() as u16;

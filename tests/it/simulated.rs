@@ -108,6 +108,7 @@ fn many_devices_are_served_each_at_its_port_with_one_truth() {
     let calls = format!("udp://127.0.0.1:{}", server.local_addr().unwrap().port());
     let (star, unit) =
         (format!("tcp://127.0.0.1:{}", free_port()), format!("udp://127.0.0.1:{}", free_port()));
+    let mocap = format!("tcp://127.0.0.1:{}", free_port());
     let devices = [
         ("flock", "flock-of-birds", "auto", 1),
         ("chain", "xbus", "auto", 1),
@@ -115,11 +116,13 @@ fn many_devices_are_served_each_at_its_port_with_one_truth() {
         ("unit", "x-imu3", unit.as_str(), 0),
         ("slimes", "slimevr", calls.as_str(), 1),
         ("star", "motionstar", star.as_str(), 2),
+        ("mocap", "vrpn", mocap.as_str(), 1),
     ];
     let mut text = String::from("name = \"many\"\n");
     for (name, driver, port, address) in devices {
+        let settings = if driver == "vrpn" { "trackers = [\"Head\"]\n" } else { "" };
         text += &format!(
-            "[[device]]\nname = \"{name}\"\ndriver = \"{driver}\"\nport = \"{port}\"\n\
+            "[[device]]\nname = \"{name}\"\ndriver = \"{driver}\"\nport = \"{port}\"\n{settings}\
              [[sensor]]\nname = \"on {name}\"\ndevice = \"{name}\"\naddress = {address}\n"
         );
     }
@@ -176,6 +179,34 @@ fn doctor_finds_a_flock_at_its_rate_and_writes_a_stage_for_it() {
     let refused = posed(["doctor", &port, "--write-stage", written.to_str().unwrap()]);
     assert_eq!((refused.status.code(), refused.stdout.len()), (Some(1), 0));
     assert_eq!(fs::read_to_string(&written).unwrap(), "mine");
+    assert_eq!(simulation.interrupt().code(), Some(0));
+}
+
+#[test]
+fn doctor_lists_the_trackers_of_a_vrpn_server_and_writes_a_stage_for_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, written) = (folder.path().join("stage.toml"), folder.path().join("written.toml"));
+    let port = format!("tcp://127.0.0.1:{}", free_port());
+    let text = format!(
+        "name = \"test\"\n\
+         [[device]]\nname = \"cameras\"\ndriver = \"vrpn\"\nport = \"{port}\"\ntrackers = [\"Head\", \"Wand\"]\n\
+         [[sensor]]\nname = \"a\"\ndevice = \"cameras\"\naddress = 1\n\
+         [[sensor]]\nname = \"b\"\ndevice = \"cameras\"\naddress = 258\n\
+         [[simulation.device]]\nname = \"cameras\"\nboot_ms = 0.0\n"
+    );
+    fs::write(&path, text).unwrap();
+    let simulation = Simulation::start(&path, &[]);
+    let args = ["doctor", &port, "--driver", "vrpn", "--json", "--write-stage", written.to_str().unwrap()];
+    let output = posed(args);
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let found = json(&output)["ports"][0].clone();
+    assert_eq!((&found["driver"], &found["revision"]), (&"vrpn".into(), &"07.38".into()));
+    let sensors =
+        serde_json::json!([{ "address": 1, "serial": "Head" }, { "address": 258, "serial": "Wand" }]);
+    assert_eq!(found["sensors"], sensors);
+    assert!(found["problem"].is_null(), "{found}");
+    let of = |path: &Path| Stage::load(path).unwrap().devices[0].driver.clone();
+    assert_eq!(of(&written), of(&path));
     assert_eq!(simulation.interrupt().code(), Some(0));
 }
 

@@ -14,7 +14,7 @@ use posed_drivers::port::{self, Options, Port, PortError, Stream, Udp};
 use posed_drivers::probe::{Identity, Inquiry, NoAnswer};
 use posed_drivers::session::SensorInfo;
 use posed_drivers::x_imu3::probe::{ANNOUNCEMENTS, Announcement};
-use posed_drivers::{Output, Timestamp, fastrak, flock, motionstar, x_imu3, xbus};
+use posed_drivers::{Output, Timestamp, fastrak, flock, motionstar, vrpn, x_imu3, xbus};
 use tokio::net::UdpSocket;
 
 use super::clock::StageClock;
@@ -38,6 +38,8 @@ pub enum Kind {
     Fastrak,
     /// MotionStar.
     MotionStar,
+    /// VRPN server.
+    Vrpn,
 }
 
 impl Kind {
@@ -53,17 +55,18 @@ impl Kind {
             Self::XImu3 => "x-imu3",
             Self::Fastrak => "fastrak",
             Self::MotionStar => "motionstar",
+            Self::Vrpn => "vrpn",
         }
     }
 
-    /// Line rates at which it may be, bit/s, the likeliest first; none for a MotionStar, which is on a network.
+    /// Line rates at which it may be, bit/s, the likeliest first; none for a MotionStar and a VRPN server, which are on a network.
     pub fn bauds(self) -> &'static [u32] {
         match self {
             Self::Flock => &flock::probe::BAUD_RATES,
             Self::Xbus => &xbus::probe::BAUD_RATES,
             Self::XImu3 => &x_imu3::probe::BAUD_RATES,
             Self::Fastrak => &fastrak::probe::BAUD_RATES,
-            Self::MotionStar => &[],
+            Self::MotionStar | Self::Vrpn => &[],
         }
     }
 
@@ -75,6 +78,7 @@ impl Kind {
             Driver::XImu3(_) => Some(Self::XImu3),
             Driver::Fastrak(_) => Some(Self::Fastrak),
             Driver::MotionStar(_) => Some(Self::MotionStar),
+            Driver::Vrpn(_) => Some(Self::Vrpn),
             Driver::SlimeVr(_) => None,
         }
     }
@@ -137,6 +141,7 @@ impl Probe {
             Kind::XImu3 => x_imu3::probe::inquiry(now),
             Kind::Fastrak => fastrak::probe::inquiry(now),
             Kind::MotionStar => motionstar::probe::inquiry(now),
+            Kind::Vrpn => vrpn::probe::inquiry(now),
         };
         Self::Other(Box::new(inquiry))
     }

@@ -1,4 +1,4 @@
-//! One magnetic sensor through faults and fusion.
+//! One sensor of a magnetic tracker, or of another that measures poses, through faults and fusion.
 //!
 //! What comes in: raw records in the transmitter's frame, and the field that corrects them. What goes out: how far each can be trusted, and the
 //! filtered pose in the room.
@@ -58,10 +58,11 @@ pub(super) struct Magnetic {
 }
 
 impl Magnetic {
-    pub(super) fn new() -> Self {
+    /// With the noise that is believed until it is measured.
+    pub(super) fn new(noise: TrackerNoise) -> Self {
         Self {
             detector: Detector::default(),
-            tracker: Tracker::new(TrackerNoise::default(), Tuning::default()),
+            tracker: Tracker::new(noise, Tuning::default()),
             map_sigma_m: 0.0,
             reading: None,
         }
@@ -253,7 +254,7 @@ mod tests {
             inertial: None,
         };
         let field = Field::new(&posed_stage::Stage::parse("name = \"test\"").unwrap());
-        let mut magnetic = Magnetic::new();
+        let mut magnetic = Magnetic::new(TrackerNoise::default());
         let measure = |magnetic: &mut Magnetic, s: f64| {
             magnetic.begin_frame();
             let position_m = Some([0.4 + 0.01 * s, 0.1, 0.2 - 0.01 * s]);

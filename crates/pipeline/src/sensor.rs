@@ -24,7 +24,7 @@ const MISSING_S: f64 = 0.1;
 /// By what a sensor is estimated.
 #[derive(Clone, Debug, State)]
 enum Kind {
-    /// A magnetic tracker: poses in the transmitter's frame.
+    /// A magnetic tracker, or what stands behind a VRPN server: poses in the device's frame.
     Magnetic(Box<Magnetic>),
     /// A body-worn IMU: an orientation in the room, no position.
     Inertial(Box<Inertial>),
@@ -75,7 +75,7 @@ impl Sensor {
         let kind = if driver.is_inertial() {
             Kind::Inertial(Box::new(Inertial::new(sensor.magnetometer, sensor.gyro_delay_ms * 1e-3)))
         } else {
-            Kind::Magnetic(Box::new(Magnetic::new()))
+            Kind::Magnetic(Box::new(Magnetic::new(driver.pose_noise())))
         };
         Self {
             name: sensor.name.clone(),

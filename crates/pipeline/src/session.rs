@@ -5,6 +5,7 @@ use posed_drivers::fastrak::FastrakSession;
 use posed_drivers::flock::{FlockSession, SettingsError};
 use posed_drivers::motionstar::MotionStarSession;
 use posed_drivers::slimevr::SlimeVrSession;
+use posed_drivers::vrpn::VrpnSession;
 use posed_drivers::x_imu3::XImu3Session;
 use posed_drivers::xbus::XbusSession;
 use posed_state::State;
@@ -20,6 +21,7 @@ pub(super) enum DeviceSession {
     Xbus(#[state(inner)] Box<XbusSession>),
     XImu3(#[state(inner)] Box<XImu3Session>),
     SlimeVr(#[state(inner)] Box<SlimeVrSession>),
+    Vrpn(#[state(inner)] Box<VrpnSession>),
 }
 
 impl DeviceSession {
@@ -44,12 +46,13 @@ impl DeviceSession {
             Driver::SlimeVr(settings) => {
                 Self::SlimeVr(Box::new(SlimeVrSession::new(settings.clone(), wanted)?))
             }
+            Driver::Vrpn(settings) => Self::Vrpn(Box::new(VrpnSession::new(settings.clone(), wanted)?)),
         })
     }
 
     /// Whether the session counts what is lost of each sensor.
     pub(super) fn counts_losses(&self) -> bool {
-        !matches!(self, Self::Flock(_))
+        !matches!(self, Self::Flock(_) | Self::Vrpn(_))
     }
 
     pub(super) fn get(&self) -> &dyn Session {
@@ -60,6 +63,7 @@ impl DeviceSession {
             Self::Xbus(session) => session.as_ref(),
             Self::XImu3(session) => session.as_ref(),
             Self::SlimeVr(session) => session.as_ref(),
+            Self::Vrpn(session) => session.as_ref(),
         }
     }
 
@@ -71,6 +75,7 @@ impl DeviceSession {
             Self::Xbus(session) => session.as_mut(),
             Self::XImu3(session) => session.as_mut(),
             Self::SlimeVr(session) => session.as_mut(),
+            Self::Vrpn(session) => session.as_mut(),
         }
     }
 }

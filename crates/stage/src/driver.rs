@@ -4,8 +4,10 @@ use posed_drivers::fastrak::{self, FastrakSession};
 use posed_drivers::flock::{self, FlockSession, SettingsError};
 use posed_drivers::motionstar::{self, MotionStarSession};
 use posed_drivers::slimevr::{self, SlimeVrSession};
+use posed_drivers::vrpn::{self, VrpnSession};
 use posed_drivers::x_imu3::{self, XImu3Session};
 use posed_drivers::xbus::{self, XbusSession};
+use posed_fusion::noise::TrackerNoise;
 use serde::{Deserialize, Serialize};
 
 use super::PortAddress;
@@ -29,7 +31,13 @@ pub enum Driver {
     /// SlimeVR trackers.
     #[serde(rename = "slimevr")]
     SlimeVr(slimevr::Settings),
+    /// Trackers behind a VRPN server.
+    Vrpn(vrpn::Settings),
 }
+
+/// Noise that is the same at any distance: what is left of the law is a word's step, less than any tracker has, and the filter raises
+/// it from its innovations.
+const UNIFORM: TrackerNoise = TrackerNoise { r0_m: 1.0, sigma_radial_m: 0.0, sigma_rotation_rad: 0.0 };
 
 /// What times the samples of a device ([`Driver::time_base`]). Samples of equal values share a clock within their device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,6 +61,7 @@ impl Driver {
             Self::Xbus(_) => "xbus",
             Self::XImu3(_) => "x-imu3",
             Self::SlimeVr(_) => "slimevr",
+            Self::Vrpn(_) => "vrpn",
         }
     }
 
@@ -66,10 +75,20 @@ impl Driver {
         matches!(self, Self::Xbus(_) | Self::XImu3(_))
     }
 
+    /// Noise of the poses that the device measures, until something is learnt of it: that of a magnetic tracker grows with the distance
+    /// from its transmitter. IMUs have none.
+    pub fn pose_noise(&self) -> TrackerNoise {
+        match self {
+            Self::Vrpn(_) => UNIFORM,
+            _ => TrackerNoise::default(),
+        }
+    }
+
     /// Which clock times the sensor at `address` on the device; equal values share one.
     pub fn time_base(&self, address: u16) -> TimeBase {
         match self {
-            Self::XImu3(_) | Self::Fastrak(_) => TimeBase::Unit(address),
+            // A VRPN server stamps each sensor for itself, as its own device has it.
+            Self::XImu3(_) | Self::Fastrak(_) | Self::Vrpn(_) => TimeBase::Unit(address),
             // The sensors of a tracker share its address's low byte, and its packets.
             Self::SlimeVr(_) => TimeBase::OnChange(address & 0xFF),
             _ => TimeBase::Device,
@@ -92,7 +111,9 @@ impl Driver {
         let limited = match port.parse::<PortAddress>() {
             Ok(PortAddress::Udp { .. }) => false,
             // A serial server has a line behind it; units with a socket of their own have none.
-            Ok(PortAddress::Tcp { .. }) => !matches!(self, Self::MotionStar(_) | Self::XImu3(_)),
+            Ok(PortAddress::Tcp { .. }) => {
+                !matches!(self, Self::MotionStar(_) | Self::XImu3(_) | Self::Vrpn(_))
+            }
             _ => true,
         };
         limited.then_some(baud)
@@ -112,6 +133,7 @@ impl Driver {
                 matches!(port, PortAddress::Tcp { .. } | PortAddress::Udp { .. }),
                 "tcp://HOST:6000 or udp://HOST:5000",
             ),
+            (Self::Vrpn(_), port) => (matches!(port, PortAddress::Tcp { .. }), "tcp://HOST:3883"),
             (Self::XImu3(_), _) => (true, ""),
             (_, port) => (
                 !matches!(port, PortAddress::Udp { .. }),
@@ -136,6 +158,7 @@ impl Driver {
             Self::Xbus(settings) => XbusSession::new(settings.clone(), BAUD, wanted).map(drop),
             Self::XImu3(settings) => XImu3Session::new(settings.clone(), wanted).map(drop),
             Self::SlimeVr(settings) => SlimeVrSession::new(settings.clone(), wanted).map(drop),
+            Self::Vrpn(settings) => VrpnSession::new(settings.clone(), wanted).map(drop),
         }
     }
 }

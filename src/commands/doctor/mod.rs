@@ -52,9 +52,9 @@ pub(crate) struct Args {
 }
 
 fn kind(word: &str) -> Result<Kind, String> {
-    let mut all = Kind::SERIAL.into_iter().chain([Kind::MotionStar]);
+    let mut all = Kind::SERIAL.into_iter().chain([Kind::MotionStar, Kind::Vrpn]);
     all.find(|kind| kind.word() == word)
-        .ok_or_else(|| "write flock-of-birds, xbus, x-imu3, fastrak or motionstar".to_owned())
+        .ok_or_else(|| "write flock-of-birds, xbus, x-imu3, fastrak, motionstar or vrpn".to_owned())
 }
 
 /// What `doctor` answers.
@@ -188,6 +188,7 @@ impl PortReport {
                 "xbus" => "Xbus device",
                 "x-imu3" => "x-IMU3",
                 "slimevr" => "SlimeVR trackers",
+                "vrpn" => "VRPN server",
                 other => other,
             };
             let model = self.model.as_deref().map(|model| format!(" ({model})")).unwrap_or_default();

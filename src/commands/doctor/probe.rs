@@ -91,6 +91,7 @@ fn questions(port: &str, wanted: Wanted) -> Vec<(Kind, u32)> {
         None if port.starts_with("udp://") && port.ends_with(":5000") => vec![Kind::MotionStar],
         None if port.starts_with("udp://") || port.ends_with(":7000") => vec![Kind::XImu3],
         None if network && port.ends_with(":6000") => vec![Kind::MotionStar],
+        None if network && port.ends_with(":3883") => vec![Kind::Vrpn],
         None => Kind::SERIAL.to_vec(),
     };
     let rates = |kind: Kind| match wanted.baud {
@@ -249,6 +250,7 @@ mod tests {
         assert_eq!(in_order.last(), Some(&(Kind::Flock, 2400)));
         let star = questions("tcp://10.0.0.2:6000", Wanted::default());
         assert_eq!(star, [(Kind::MotionStar, 115_200)]);
+        assert_eq!(questions("tcp://mocap:3883", Wanted::default()), [(Kind::Vrpn, 115_200)]);
         let one = Wanted { baud: Some(9600), kind: Some(Kind::Fastrak) };
         assert_eq!(questions("/dev/ttyS0", one), [(Kind::Fastrak, 9600)]);
     }

@@ -51,10 +51,16 @@ pub(super) fn text(ports: &[PortReport]) -> Result<String, Error> {
                 Some(Addressing::Normal) | None => {}
             }
         }
-        let by_mac = driver == "slimevr";
-        if by_mac {
-            let macs = port.sensors.iter().filter_map(|sensor| sensor.serial.as_deref()).map(quoted);
-            text.push_str(&format!("trackers = [{}]\n", macs.collect::<Vec<_>>().join(", ")));
+        // The device lists who its trackers are, and its sensors have their places in that list.
+        let by_list = matches!(driver, "slimevr" | "vrpn");
+        if by_list {
+            let mut listed: Vec<String> = Vec::new();
+            for tracker in port.sensors.iter().filter_map(|sensor| sensor.serial.as_deref()).map(quoted) {
+                if !listed.contains(&tracker) {
+                    listed.push(tracker);
+                }
+            }
+            text.push_str(&format!("trackers = [{}]\n", listed.join(", ")));
         }
         for sensor in &port.sensors {
             let name = format!("{prefix}{unit}-{}", sensor.address);
@@ -64,7 +70,7 @@ pub(super) fn text(ports: &[PortReport]) -> Result<String, Error> {
                 quoted(&device),
                 sensor.address
             ));
-            if let Some(serial) = sensor.serial.as_deref().filter(|_| !by_mac) {
+            if let Some(serial) = sensor.serial.as_deref().filter(|_| !by_list) {
                 sensors.push_str(&format!("serial = {}\n", quoted(serial)));
             }
         }
@@ -85,6 +91,7 @@ fn names(driver: &str) -> (&str, &str) {
         "xbus" => ("chain", "tracker"),
         "x-imu3" => ("imu", "imu"),
         "slimevr" => ("trackers", "slime"),
+        "vrpn" => ("mocap", "seen"),
         other => (other, "sensor"),
     }
 }
@@ -159,10 +166,11 @@ mod tests {
                 sensors: vec![SensorReport { address: 1, serial: None }],
                 ..report("fastrak", "/dev/ttyUSB1", &[])
             },
+            report("vrpn", "tcp://10.0.0.9:3883", &[(1, "Head"), (2, "Wand \"A\""), (258, "Wand \"A\"")]),
         ];
         let stage = Stage::parse(&text(&ports).unwrap()).unwrap();
         let drivers: Vec<&str> = stage.devices.iter().map(|device| device.driver.word()).collect();
-        assert_eq!(drivers, ["xbus", "x-imu3", "x-imu3", "slimevr", "motionstar", "fastrak"]);
+        assert_eq!(drivers, ["xbus", "x-imu3", "x-imu3", "slimevr", "motionstar", "fastrak", "vrpn"]);
         assert_eq!((stage.devices[2].name.as_str(), stage.devices[1].local_port), ("imu-2", Some(8001)));
         assert_eq!(stage.sensors[1].serial.as_deref(), Some("00342D08"));
     }

@@ -363,7 +363,7 @@ const TABLES: [&str; 8] = [
 const OF_A_HUB: &str = r#"{"type":"subscribe","id":1,"topics":["sensors"],"stages":["s"]}"#;
 
 /// The stage files of the documents, and the demo's with its scenario.
-const STAGES: [(&str, &str); 9] = [
+const STAGES: [(&str, &str); 10] = [
     ("demo", include_str!("../../../config/demo.toml")),
     ("fastrak", include_str!("../../../config/fastrak.toml")),
     ("field-pole", include_str!("../../../config/field-pole.toml")),
@@ -371,6 +371,7 @@ const STAGES: [(&str, &str); 9] = [
     ("many-devices", include_str!("../../../config/many-devices.toml")),
     ("motionstar", include_str!("../../../config/motionstar.toml")),
     ("slimevr", include_str!("../../../config/slimevr.toml")),
+    ("vrpn-anchor", include_str!("../../../config/vrpn-anchor.toml")),
     ("x-imu3-udp", include_str!("../../../config/x-imu3-udp.toml")),
     ("xbus-chain", include_str!("../../../config/xbus-chain.toml")),
 ];
