@@ -72,7 +72,7 @@ impl Sensor {
 
     /// Sensor to room, `t_s` seconds after the stage's epoch.
     pub(crate) fn pose_in_room_s(&self, t_s: f64) -> Isometry3<f64> {
-        self.body.pose(self.segment, t_s) * self.mount
+        self.body.pose(self.segment, t_s) * (self.body.strap(self.segment, t_s) * self.mount)
     }
 }
 

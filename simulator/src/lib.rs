@@ -13,6 +13,7 @@
 
 pub mod actions;
 pub mod body;
+mod bvh;
 mod chassis;
 pub mod device;
 mod ease;

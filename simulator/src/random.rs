@@ -15,6 +15,8 @@ pub(crate) enum Purpose {
     Device(usize),
     /// Mounting and errors of the n-th sensor that a person wears.
     Wearer(usize),
+    /// How the strap of the n-th sensor that a person wears wanders.
+    Strap(usize),
     /// A sequence of actions.
     Actions,
     /// A sequence of motion primitives.
@@ -37,6 +39,7 @@ impl Random {
             Purpose::Faults(n) => (2, n),
             Purpose::Device(n) => (3, n),
             Purpose::Wearer(n) => (32, n),
+            Purpose::Strap(n) => (35, n),
             Purpose::Actions => (33, 0),
             Purpose::Primitives => (34, 0),
         };

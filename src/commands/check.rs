@@ -35,12 +35,13 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 fn report(bytes: &[u8], path: &Path) -> Report {
     match std::str::from_utf8(bytes) {
         Ok(text) => {
-            let mut report = posed_stage::check_in(text, path.parent().unwrap_or(Path::new("")));
+            let folder = path.parent().unwrap_or(Path::new(""));
+            let mut report = posed_stage::check_in(text, folder);
             report.warnings.extend(posed_stage::readable_by_others(path, text));
             if report.ok
                 && let Ok(stage) = Stage::parse(text)
             {
-                report.problems.extend(simulation::problems(text, &stage));
+                report.problems.extend(simulation::problems(text, &stage, folder));
                 report.ok = report.problems.is_empty();
             }
             report

@@ -24,14 +24,15 @@ pub(crate) fn virtual_stage(stage: &Stage, folder: &Path) -> Result<VirtualStage
     VirtualStage::new(&spec, &scenario(stage)?, folder).map_err(Error::failed)
 }
 
-/// What is wrong with the `[simulation]` table of a stage file that is otherwise right.
-pub(crate) fn problems(text: &str, stage: &Stage) -> Vec<Problem> {
+/// What is wrong with the `[simulation]` table of a stage file that is otherwise right, and with the files of motion that it names, from `folder` on.
+pub(crate) fn problems(text: &str, stage: &Stage, folder: &Path) -> Vec<Problem> {
     let schema = schemars::schema_for!(Scenario).to_value();
     let mut problems = posed_stage::check_table(text, "simulation", &schema);
     if problems.is_empty()
         && let Err(error) = scenario(stage).and_then(|scenario| {
             let spec = StageSpec::of(stage).map_err(Error::failed)?;
-            scenario.check(&spec).map_err(Error::failed)
+            scenario.check(&spec).map_err(Error::failed)?;
+            scenario.check_files(folder).map_err(Error::failed)
         })
     {
         problems.push(Problem {
@@ -52,7 +53,10 @@ mod tests {
 
     fn problems_of(text: &str) -> Vec<(usize, String)> {
         let stage = Stage::parse(text).unwrap();
-        problems(text, &stage).into_iter().map(|problem| (problem.line, problem.key)).collect()
+        problems(text, &stage, Path::new("config"))
+            .into_iter()
+            .map(|problem| (problem.line, problem.key))
+            .collect()
     }
 
     #[test]
@@ -72,6 +76,10 @@ mod tests {
         let text = DEMO.replace("seed = 7 ", "sede = 7 ").replace("kind = \"person\"", "kind = \"persons\"");
         let kind = line("kind = \"person\"");
         assert_eq!(problems_of(&text), [(line("seed"), "sede".into()), (kind, "kind".into())]);
+        let text = DEMO.replace("activity = \"workout\"", "follows = [\"nobody.bvh\"]");
+        let stage = Stage::parse(&text).unwrap();
+        let found = problems(&text, &stage, Path::new("config"));
+        assert!(found[0].message.contains("config/nobody.bvh: "), "{}", found[0].message);
         // What the simulator alone can tell points at the table.
         let text = DEMO.replace("body = \"circle\"", "body = \"square\"");
         assert_eq!(problems_of(&text), [(line("[simulation]"), "simulation".into())]);

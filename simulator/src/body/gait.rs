@@ -6,7 +6,7 @@
 
 use nalgebra::Vector3;
 
-use super::kinematics::{Build, Posture, about_x, about_y, about_z, upright};
+use super::kinematics::{ANKLE, BALL, Build, HEEL, Posture, about_x, about_y, about_z, upright};
 use super::script::raise;
 use crate::ease::{minimum_jerk, step};
 
@@ -35,10 +35,6 @@ const LOADING: [f64; 2] = [0.08, 0.15];
 /// How far a foot is turned where its toe leaves, and its heel lands, rad.
 const TOE_DOWN_RAD: f64 = 0.85;
 const TOE_UP_RAD: f64 = 0.26;
-/// From the ankle to the ball and to the heel along the floor, and its height above it, of the legs' length.
-const BALL: f64 = 0.125;
-const HEEL: f64 = 0.057;
-const ANKLE: f64 = 0.08;
 /// Who walks puts the feet nearer to the way than who stands, of the hips' width.
 const TRACK: [f64; 2] = [0.5, 0.35];
 
@@ -239,7 +235,14 @@ pub(super) fn lower(posture: &mut Posture, knee: f64, back_m: f64, outwards: f64
 
 /// Hip and knee of a leg whose ankle is to be there, m, room, with the thigh turned by this much to the left of the pelvis, rad. A place
 /// that is too far is reached for with a straight leg.
-fn reach(posture: &mut Posture, side: usize, sign: f64, ankle_m: Vector3<f64>, turn: f64, build: &Build) {
+pub(super) fn reach(
+    posture: &mut Posture,
+    side: usize,
+    sign: f64,
+    ankle_m: Vector3<f64>,
+    turn: f64,
+    build: &Build,
+) {
     let (thigh_m, shank_m) = (build.thigh_m, build.shank_m);
     let leg_m = ankle_m - hip_m(posture, sign, build);
     let cos_knee = (leg_m.norm_squared() - thigh_m * thigh_m - shank_m * shank_m) / (2.0 * thigh_m * shank_m);

@@ -66,6 +66,39 @@ impl Build {
     }
 }
 
+/// Height of the ankles of somebody who stands, m.
+pub(super) const ANKLE_M: f64 = 0.07;
+/// From the ankle to the ball and to the heel along the sole, and down to it, of the legs' length.
+pub(super) const BALL: f64 = 0.125;
+pub(super) const HEEL: f64 = 0.057;
+pub(super) const ANKLE: f64 = 0.08;
+/// What stands moves by less, m, within 0.1 s, and is no further from the floor.
+const STANDS_M: f64 = 0.004;
+const NEAR_M: f64 = 0.03;
+
+impl Build {
+    /// Heel and ball on the soles of the right and the left foot, room, m.
+    pub fn soles_m(&self, body: &TrueBody) -> [[Vector3<f64>; 2]; 2] {
+        let leg_m = self.thigh_m + self.shank_m;
+        [12, 14].map(|foot| {
+            [-HEEL, BALL]
+                .map(|ahead| body[foot].origin_m + body[foot].axes * Vector3::new(ahead, -ANKLE, 0.0) * leg_m)
+        })
+    }
+
+    /// Whether heel and ball of the right and of the left foot stand at a time, s, in a movement: each moves by less than 4 mm within 0.1 s, and is less than 3 cm above
+    /// a floor at that height, m.
+    pub fn standing(&self, movement: impl Fn(f64) -> TrueBody, t_s: f64, floor_m: f64) -> [[bool; 2]; 2] {
+        let [before_m, now_m, after_m] = [-0.05, 0.0, 0.05].map(|dt_s| self.soles_m(&movement(t_s + dt_s)));
+        [0, 1].map(|side| {
+            [0, 1].map(|end| {
+                let moved_m = (after_m[side][end] - before_m[side][end]).norm();
+                moved_m < STANDS_M && now_m[side][end].z < floor_m + NEAR_M
+            })
+        })
+    }
+}
+
 /// Where the pelvis is in the room, and the angles of all joints, rad, signs as in the table of `docs/body.md`; index 0 is the
 /// right side, 1 the left. The default has all angles zero: the N-pose of a person who looks along the room's x.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

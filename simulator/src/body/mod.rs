@@ -6,13 +6,18 @@
 //! In: a seed, a script, errors. Out: samples and the truth. It follows the table of `docs/body.md` with kinematics of
 //! its own and never uses `posed`'s.
 
+mod everyday;
 mod gait;
 mod kinematics;
 pub mod programme;
 mod script;
+mod strap;
+pub mod take;
 #[cfg(test)]
 mod tests;
 mod wearer;
+
+pub(crate) use strap::Strap;
 
 pub use kinematics::{Build, Placement, Posture, SEGMENT_NAMES, SEGMENTS, TrueBody};
 pub use script::{Activity, BlockSpan, Mistake, Script};

@@ -5,7 +5,7 @@
 
 use nalgebra::Vector3;
 
-use super::kinematics::{Build, Posture};
+use super::kinematics::{ANKLE_M, Build, Posture};
 use super::script::Activity;
 use crate::random::{Purpose, Random};
 
@@ -46,7 +46,7 @@ impl Programme {
                 let t = frame as f64 / RATE_HZ - rest_s;
                 let mut posture = Posture {
                     pelvis: [heading, 0.0, 0.0],
-                    pelvis_m: Vector3::new(0.0, 0.0, build.thigh_m + build.shank_m + 0.07),
+                    pelvis_m: Vector3::new(0.0, 0.0, build.thigh_m + build.shank_m + ANKLE_M),
                     ..Posture::default()
                 };
                 let grow = if t > 0.0 { Activity::swell(t, duration_s) } else { 0.0 };

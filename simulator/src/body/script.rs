@@ -5,8 +5,9 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use super::everyday::{jump, lie, sit, wave as waves};
 use super::gait::{Path, STEPS_HZ, lower};
-use super::kinematics::{Build, Posture};
+use super::kinematics::{ANKLE_M, Build, Posture};
 use crate::ease::step;
 
 /// What is done after the calibration.
@@ -40,6 +41,14 @@ pub enum Activity {
     /// Three sets of five curls, reaches, three sets of five squats, with five seconds of rest after each set, and a lap about the room: two minutes and a
     /// quarter, again and again.
     Workout,
+    /// Sits down on a chair a quarter of the height high, rests, stands up, again and again.
+    Sitting,
+    /// Lies down on the back with bent knees, rests, gets up, again and again.
+    Lying,
+    /// Bends the knees and jumps straight up, 0.4 s in the air, every three seconds.
+    Jumping,
+    /// Waves with the right hand, and rests.
+    Waving,
 }
 
 /// What somebody does wrong who holds the poses of a calibration.
@@ -184,6 +193,12 @@ impl Script {
         Some(path.contacts(self.activity.steps(t.max(0.0))))
     }
 
+    /// Whether heel and ball of the right and of the left foot stand: see [`Build::standing`]. Stairs are floor, too.
+    pub fn standing(&self, t_s: f64, build: &Build) -> [[bool; 2]; 2] {
+        let floor_m = if self.activity == Activity::Climbing { f64::INFINITY } else { 0.0 };
+        build.standing(|t_s| self.at(t_s, build).place(build), t_s, floor_m)
+    }
+
     /// The posture at `t_s` seconds of the script, any time; before 0 the person stands in an N-pose.
     ///
     /// The hips begin above the room's origin, 0.07 m higher than the legs are long. Feet stay where they stand while somebody strolls or climbs, and
@@ -191,7 +206,7 @@ impl Script {
     pub fn at(&self, t_s: f64, build: &Build) -> Posture {
         let mut posture = Posture {
             pelvis: [self.facing, 0.0, 0.0],
-            pelvis_m: Vector3::new(0.0, 0.0, build.thigh_m + build.shank_m + 0.07),
+            pelvis_m: Vector3::new(0.0, 0.0, build.thigh_m + build.shank_m + ANKLE_M),
             ..Posture::default()
         };
         if self.calibration {
@@ -358,6 +373,10 @@ impl Activity {
             Activity::Strolling | Activity::Climbing | Activity::Lap => {
                 self.path(build).into_iter().for_each(|path| path.walk(p, self.steps(t), build));
             }
+            Activity::Sitting => sit(p, t, build),
+            Activity::Lying => lie(p, t, build),
+            Activity::Jumping => jump(p, t, grow, build),
+            Activity::Waving => waves(p, t),
             Activity::Poses => hold_t_pose(p, t.rem_euclid(POSES_S), POSE_S),
             Activity::Bends => pose_and_move(p, t, &BENDS),
             Activity::Movements => pose_and_move(p, t, &EACH_LIMB),

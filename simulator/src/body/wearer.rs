@@ -1,10 +1,14 @@
 //! The sensors that the person wears: what each measures, with a unit's errors.
 
+use std::sync::Arc;
+
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use posed_geometry::GRAVITY_M_S2;
 
 use super::kinematics::{Build, Placement, SEGMENT_NAMES, SEGMENTS};
 use super::script::Script;
+use super::strap::Strap;
+use super::take::Take;
 use crate::random::{Purpose, Random};
 
 /// Steps of the differences that make angular velocities and specific forces, s.
@@ -37,6 +41,8 @@ pub struct SensorErrors {
     pub skin_m: f64,
     /// Standard deviation of how far the sensor turns with the play, rad per m, about each segment axis for each direction.
     pub skin_rad_m: f64,
+    /// How far the straps wander: each turns its sensor slowly, within a minute or two, by this about each segment axis, root mean square over time, rad.
+    pub strap_rad: f64,
 }
 
 impl SensorErrors {
@@ -51,6 +57,7 @@ impl SensorErrors {
         mag_bias_ut: 0.0,
         skin_m: 0.0,
         skin_rad_m: 0.0,
+        strap_rad: 0.0,
     };
 
     /// A unit of MPU class at 100 Hz after its intrinsics were calibrated, rigidly worn: 0.01 deg/s and 300 ug per root
@@ -151,6 +158,7 @@ struct Unit {
     accel: (Matrix3<f64>, Vector3<f64>),
     magnet: Vector3<f64>,
     skin: Matrix3<f64>,
+    strap: Strap,
     noise: Random,
 }
 
@@ -161,6 +169,8 @@ struct Unit {
 #[derive(Clone, Debug)]
 pub struct Wearer {
     spec: WearerSpec,
+    /// Recorded people whom the person follows, and since when, s of the script.
+    take: Option<(Arc<Take>, f64)>,
     units: Vec<Unit>,
     frame: u64,
 }
@@ -198,11 +208,12 @@ impl Wearer {
                 accel: (matrix(vector(e.scale), vector(e.scale), vector(e.scale)), vector(e.accel_bias_m_s2)),
                 magnet: vector(e.mag_bias_ut),
                 skin: Matrix3::from_columns(&[vector(1.0), vector(1.0), vector(1.0)]) * e.skin_rad_m,
+                strap: Strap::draw(e.strap_rad, &mut Random::new(spec.seed, Purpose::Strap(index))),
                 noise: random,
             }
         };
         let units = (0..SEGMENT_NAMES.len()).map(unit).collect();
-        Self { spec, units, frame: 0 }
+        Self { spec, take: None, units, frame: 0 }
     }
 
     /// Samples per second of every sensor.
@@ -211,7 +222,7 @@ impl Wearer {
     }
 
     /// True mounting of the sensor on a segment (index in [`SEGMENT_NAMES`]): sensor to segment, and its place in segment axes,
-    /// m.
+    /// m; as it was put on, without what its strap wanders.
     ///
     /// # Panics
     /// There is no such segment.
@@ -230,6 +241,12 @@ impl Wearer {
         unit.slip = Some((self.frame as f64 / self.spec.rate_hz, rotation_vector_rad));
     }
 
+    /// From now on the person, who should stand in an N-pose, follows recorded people in place of the script, faces as the script does at first, and is as
+    /// `clumsiness_rad` says no longer. The lengths of the body are those of the specification: [`Take::build`] are the recorded ones.
+    pub fn follow(&mut self, take: Arc<Take>) {
+        self.take = Some((take, self.frame as f64 / self.spec.rate_hz));
+    }
+
     /// The next frame, `1 / rate_hz` after the last: the sample of each segment's sensor, in the order of [`SEGMENT_NAMES`], and
     /// the ground truth of the same time.
     pub fn step(&mut self) -> ([Sample; SEGMENTS], Truth) {
@@ -237,8 +254,13 @@ impl Wearer {
         self.frame += 1;
         let spec = &self.spec;
         let place = |t_s: f64| {
-            let mut posture = spec.script.at(t_s, &spec.build);
-            clumsy(&mut posture, spec.clumsiness_rad, spec.seed);
+            let (mut posture, clumsiness) = match &self.take {
+                Some((take, from_s)) => {
+                    (take.facing(spec.script.facing, t_s - from_s), 1.0 - take.share(t_s - from_s))
+                }
+                None => (spec.script.at(t_s, &spec.build), 1.0),
+            };
+            clumsy(&mut posture, clumsiness * spec.clumsiness_rad, spec.seed);
             posture.place(&spec.build)
         };
         let times = [-2.0, -1.0, 0.0, 1.0, 2.0].map(|k| place(t_s + k * STEP_S));
@@ -262,7 +284,9 @@ impl Wearer {
             // Skin: an over-damped play that follows the acceleration and turns the sensor with it.
             let play = axes.transpose() * accel * -errors.skin_m;
             let (slipped, slips_rad_s) = unit.slipping(t_s);
-            let mount = UnitQuaternion::from_scaled_axis(unit.skin * play) * slipped;
+            let strap = |dt_s: f64| unit.strap.turned_rad(t_s + dt_s);
+            let slips_rad_s = slips_rad_s + (strap(STEP_S) - strap(-STEP_S)) / (2.0 * STEP_S);
+            let mount = UnitQuaternion::from_scaled_axis(unit.skin * play + strap(0.0)) * slipped;
             let back = mount.inverse();
             let angular_velocity_rad_s = angular_velocity_rad_s + slips_rad_s;
             let mut noise = |sigma: f64| Vector3::from_fn(|_, _| sigma * unit.noise.normal());

@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::bvh::{Bvh, BvhError};
 use super::spline::{PoseSpline, Row};
+use crate::body::take::TakeError;
+use crate::bvh::{Bvh, BvhError};
 
 /// Which axis of a file points up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
@@ -100,6 +101,9 @@ pub enum FileError {
         /// What is wrong, and where.
         source: BvhError,
     },
+    /// A recording of a person was refused.
+    #[error(transparent)]
+    Take(#[from] TakeError),
 }
 
 /// The motion in a file: named tracks in the room, cubic splines through the file's samples with rest at both ends of each track.

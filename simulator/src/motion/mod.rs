@@ -5,7 +5,6 @@
 //! simulated IMU on them would feel no jumps. (Where a file of motion begins and is held at its end, only the
 //! velocity is continuous.) It knows no sensors and no devices.
 
-mod bvh;
 mod file;
 mod imu_calibration;
 mod person;
@@ -16,10 +15,13 @@ mod spline;
 use std::path::Path;
 use std::sync::Arc;
 
-use nalgebra::{Isometry3, Vector3};
+use crate::body::take::Take;
+use crate::body::{SEGMENTS, Strap};
+use crate::random::{Purpose, Random};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-pub use bvh::{Bvh, BvhError};
+pub use crate::bvh::{Bvh, BvhError};
 pub use file::{Ending, File, FileError, Tracks, Up};
 pub use imu_calibration::ImuCalibration;
 pub use person::Person;
@@ -104,7 +106,11 @@ impl Motion {
             }
             Self::Person(person) => {
                 above_zero("height_m", person.height_m)?;
+                above_zero("follows_rate_hz", person.follows_rate_hz.unwrap_or(1.0))?;
                 finite("heading_deg", &[person.heading_deg])?;
+                if !(0.0..=90.0).contains(&person.strap_deg) {
+                    return Err(format!("strap_deg = {} should be from 0 to 90", person.strap_deg));
+                }
                 finite("position_m", &person.position_m)
             }
             Self::File(file) => {
@@ -130,6 +136,10 @@ pub struct Body {
     motion: Motion,
     /// The tracks of a [`Motion::File`].
     tracks: Option<Arc<Tracks>>,
+    /// The recordings that a [`Motion::Person`] follows.
+    take: Option<Arc<Take>>,
+    /// How the straps of what a [`Motion::Person`] wears wander, by segment.
+    straps: Option<Arc<[Strap; SEGMENTS]>>,
 }
 
 impl Body {
@@ -144,7 +154,24 @@ impl Body {
             Motion::File(file) => Some(Arc::new(Tracks::read(file, folder)?)),
             _ => None,
         };
-        Ok(Self { motion, tracks })
+        let take = match &motion {
+            Motion::Person(person) if !person.follows.is_empty() => {
+                let take = Take::read(&person.follows, folder, person.follows_rate_hz, person.height_m)?;
+                Some(Arc::new(take))
+            }
+            _ => None,
+        };
+        let straps = match &motion {
+            Motion::Person(person) if person.strap_deg > 0.0 => {
+                let strap = |segment| {
+                    let mut random = Random::new(0, Purpose::Strap(segment));
+                    Strap::draw(person.strap_deg.to_radians(), &mut random)
+                };
+                Some(Arc::new(std::array::from_fn(strap)))
+            }
+            _ => None,
+        };
+        Ok(Self { motion, tracks, take, straps })
     }
 
     /// Names of its segments, in the order of their indices.
@@ -174,11 +201,18 @@ impl Body {
             Motion::Walk(walk) => walk.pose(segment, t_s),
             Motion::Pole(pole) => pole.pose(t_s),
             Motion::ImuCalibration(imu_calibration) => imu_calibration.pose(t_s),
-            Motion::Person(person) => person.pose(segment, t_s),
+            Motion::Person(person) => person.pose(self.take.as_deref(), segment, t_s),
             Motion::File(_) => {
                 self.tracks.as_ref().map_or_else(Isometry3::identity, |tracks| tracks.pose(segment, t_s))
             }
         }
+    }
+
+    /// How what is worn on a segment has turned on it since it was put on: straps wander.
+    pub(crate) fn strap(&self, segment: usize, t_s: f64) -> UnitQuaternion<f64> {
+        self.straps.as_ref().map_or_else(UnitQuaternion::identity, |straps| {
+            UnitQuaternion::from_scaled_axis(straps[segment].turned_rad(t_s))
+        })
     }
 
     /// Velocity of the segment's origin and of its rotation at `t_s`.

@@ -68,14 +68,28 @@ impl Scenario {
         }
     }
 
-    /// Reads the files of motion and finds the body of each sensor of the stage.
-    pub(crate) fn riders(&self, stage: &StageSpec, folder: &Path) -> Result<Vec<Sensor>, ScenarioError> {
+    /// Reads the files of motion, relative to `folder`.
+    ///
+    /// # Errors
+    /// One cannot be read or holds no motion; the error names the body and the file.
+    pub fn check_files(&self, folder: &Path) -> Result<(), ScenarioError> {
+        self.moving(folder).map(|_| ())
+    }
+
+    /// The bodies by their names.
+    fn moving(&self, folder: &Path) -> Result<Vec<(&str, Body)>, ScenarioError> {
         let mut bodies = Vec::new();
         for spec in &self.bodies {
             let body = Body::new(spec.motion.clone(), folder)
                 .map_err(|source| ScenarioError::Motion { body: spec.name.clone(), source })?;
             bodies.push((spec.name.as_str(), body));
         }
+        Ok(bodies)
+    }
+
+    /// Reads the files of motion and finds the body of each sensor of the stage.
+    pub(crate) fn riders(&self, stage: &StageSpec, folder: &Path) -> Result<Vec<Sensor>, ScenarioError> {
+        let bodies = self.moving(folder)?;
         let transmitter = transmitter_in_room(stage);
         let rider = |(index, sensor): (usize, &SensorSpec)| {
             let Some(given) = self.sensors.iter().find(|given| given.name == sensor.name) else {

@@ -40,6 +40,8 @@ struct Joint {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bvh {
     joints: Vec<Joint>,
+    /// Where the chains end: the joint that an end site hangs on, and its place in that joint's axes.
+    ends: Vec<(usize, Vector3<f64>)>,
     /// Time between frames, s, above 0.
     pub frame_time_s: f64,
     /// All channel values, frame after frame.
@@ -54,7 +56,7 @@ impl Bvh {
     /// Names line and column of the first word that does not belong, or of the end of the file.
     pub fn parse(text: &str) -> Result<Self, BvhError> {
         let mut words = Words::new(text);
-        let joints = hierarchy(&mut words)?;
+        let (joints, ends) = hierarchy(&mut words)?;
         let channels: usize = joints.iter().map(|joint| joint.channels.len()).sum();
         words.expect("Frames:")?;
         let frames = words.count("the number of frames")?;
@@ -75,12 +77,17 @@ impl Bvh {
             return Err(words.wrong("at least one frame with one channel"));
         }
         words.end()?;
-        Ok(Self { joints, frame_time_s, values, channels })
+        Ok(Self { joints, ends, frame_time_s, values, channels })
     }
 
     /// Names of the joints, root first; end sites are not joints.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.joints.iter().map(|joint| joint.name.as_str())
+    }
+
+    /// Where the chains end: index of the joint that an end site hangs on, and its place in that joint's axes, in the file's unit.
+    pub fn ends(&self) -> &[(usize, Vector3<f64>)] {
+        &self.ends
     }
 
     /// How many frames there are, at least one.
@@ -93,7 +100,26 @@ impl Bvh {
     /// # Panics
     /// If there is no such frame.
     pub fn poses(&self, frame: usize) -> Vec<Isometry3<f64>> {
-        let mut values = self.values[frame * self.channels..][..self.channels].iter();
+        self.placed(&self.values[frame * self.channels..][..self.channels])
+    }
+
+    /// Poses of all joints at rest, where all channels are zero.
+    pub fn rest(&self) -> Vec<Isometry3<f64>> {
+        self.placed(&vec![0.0; self.channels])
+    }
+
+    /// Whether no joint is turned in a frame.
+    ///
+    /// # Panics
+    /// If there is no such frame.
+    pub fn rests(&self, frame: usize) -> bool {
+        let values = &self.values[frame * self.channels..][..self.channels];
+        let channels = self.joints.iter().flat_map(|joint| &joint.channels);
+        channels.zip(values).all(|(channel, value)| matches!(channel, Channel::Position(_)) || *value == 0.0)
+    }
+
+    fn placed(&self, values: &[f64]) -> Vec<Isometry3<f64>> {
+        let mut values = values.iter();
         let mut poses: Vec<Isometry3<f64>> = Vec::with_capacity(self.joints.len());
         for joint in &self.joints {
             let mut shift = joint.offset;
@@ -119,8 +145,9 @@ impl Bvh {
 }
 
 /// Everything from `HIERARCHY` to `MOTION`.
-fn hierarchy(words: &mut Words<'_>) -> Result<Vec<Joint>, BvhError> {
+fn hierarchy(words: &mut Words<'_>) -> Result<(Vec<Joint>, Vec<(usize, Vector3<f64>)>), BvhError> {
     let mut joints: Vec<Joint> = Vec::new();
+    let mut ends = Vec::new();
     let mut open: Vec<usize> = Vec::new();
     words.expect("HIERARCHY")?;
     loop {
@@ -135,13 +162,11 @@ fn hierarchy(words: &mut Words<'_>) -> Result<Vec<Joint>, BvhError> {
                 for word in ["Site", "{", "OFFSET"] {
                     words.expect(word)?;
                 }
-                for _ in 0..3 {
-                    words.number("a coordinate of the offset")?;
-                }
+                ends.extend(open.last().copied().zip(Some(offset(words)?)));
                 words.expect("}")?;
             }
             "}" if open.pop().is_some() => {}
-            "MOTION" if open.is_empty() && !joints.is_empty() => return Ok(joints),
+            "MOTION" if open.is_empty() && !joints.is_empty() => return Ok((joints, ends)),
             _ if open.is_empty() => return Err(words.wrong("ROOT or MOTION")),
             _ => return Err(words.wrong("JOINT, End or }")),
         }
@@ -156,10 +181,7 @@ fn joint(words: &mut Words<'_>, joints: &mut Vec<Joint>, parent: Option<usize>) 
     }
     words.expect("{")?;
     words.expect("OFFSET")?;
-    let mut offset = Vector3::zeros();
-    for coordinate in offset.iter_mut() {
-        *coordinate = words.number("a coordinate of the offset")?;
-    }
+    let offset = offset(words)?;
     words.expect("CHANNELS")?;
     let mut channels = Vec::new();
     for _ in 0..words.count("the number of channels")? {
@@ -177,6 +199,14 @@ fn joint(words: &mut Words<'_>, joints: &mut Vec<Joint>, parent: Option<usize>) 
     }
     joints.push(Joint { name, parent, offset, channels });
     Ok(joints.len() - 1)
+}
+
+fn offset(words: &mut Words<'_>) -> Result<Vector3<f64>, BvhError> {
+    let mut offset = Vector3::zeros();
+    for coordinate in offset.iter_mut() {
+        *coordinate = words.number("a coordinate of the offset")?;
+    }
+    Ok(offset)
 }
 
 /// The words of a text, with their places.
@@ -247,7 +277,7 @@ impl<'a> Words<'a> {
 mod tests {
     use super::*;
 
-    pub(in crate::motion) const ARM: &str = "HIERARCHY
+    pub(crate) const ARM: &str = "HIERARCHY
 ROOT Hips
 {
   OFFSET 0 0 0
