@@ -2,9 +2,10 @@
 
 mod deceit;
 mod learnt;
+mod people;
 mod travel;
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use posed_baselines::limbs::EulerBody;
 use posed_fusion::ahrs::ImuSample;
 use posed_fusion::body::{
@@ -148,7 +149,9 @@ fn recorded(samples: &[Sample; SEGMENTS], everywhere: bool) -> BodySamples {
 
 /// True orientations, segment to room, with the room turned by `room`.
 fn oriented(body: &[Placement; SEGMENTS], room: UnitQuaternion<f64>) -> [UnitQuaternion<f64>; SEGMENTS] {
-    body.map(|placement| room * UnitQuaternion::from_matrix(&placement.axes))
+    body.map(|placement| {
+        room * UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(placement.axes))
+    })
 }
 
 fn mounts(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<SensorMount>; SEGMENTS], String> {
@@ -353,6 +356,9 @@ fn main() {
     }
     if only.as_ref().is_none_or(|only| "learnt".contains(only.as_str())) {
         learnt::learnt();
+    }
+    if only.as_ref().is_none_or(|only| "people".contains(only.as_str())) {
+        people::table();
     }
     if only.as_ref().is_none_or(|only| "slips".contains(only.as_str())) {
         learnt::slips();

@@ -1,0 +1,448 @@
+//! Recorded people in a suit without a compass: the table *Recorded people* of `docs/body.md`.
+//!
+//! `cargo bench --bench body people`, with part of a name for those people alone, `minutes=10` for longer runs, and `write=FOLDER` for the samples and the truth as CSV.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use nalgebra::{UnitQuaternion, Vector3};
+use posed_baselines::limbs::EulerBody;
+use posed_fusion::body::{
+    BodyFilter, BodyParams, BodySamples, BodySegment, Guide, SEGMENTS, SensorMount, Skeleton, Thoroughness,
+    calibrate, joint_angles,
+};
+use posed_geometry::so3;
+use posed_simulator::body::take::{Recording, Take};
+use posed_simulator::body::{Activity, Build, Script, SensorErrors, Wearer, WearerSpec};
+
+use super::{HEIGHT_M, RATE_HZ, emit, oriented, recorded};
+
+/// How far from straight people stand, rad.
+const CLUMSY_RAD: f64 = 0.03;
+/// Where they look at first, rad.
+const FACING_RAD: f64 = 0.6;
+/// A calibration that takes longer has failed, s.
+const LONGEST_S: f64 = 240.0;
+/// After the calibration somebody stands for so long, s.
+const PAUSE_S: f64 = 1.0;
+/// What counts begins so long after the movement, s.
+const SETTLE_S: f64 = 10.0;
+/// A way goes straight on for so long: shorter, and what a step shakes counts as way.
+const WAY_EPOCHS: usize = 50;
+/// A heel or a ball stands that has moved by less within so many epochs, and is so near the floor, m; and that stands for so many.
+const STILL_EPOCHS: usize = 10;
+const STILL_M: f64 = 0.004;
+const FLOOR_M: f64 = 0.03;
+/// So many styles of walking people, those of whom there is most.
+const STYLES: usize = 10;
+
+const LEGS: [[BodySegment; 2]; 2] =
+    [[BodySegment::ThighR, BodySegment::ShankR], [BodySegment::ThighL, BodySegment::ShankL]];
+const ARMS: [[BodySegment; 2]; 2] =
+    [[BodySegment::UpperArmR, BodySegment::ForearmR], [BodySegment::UpperArmL, BodySegment::ForearmL]];
+const FEET: [BodySegment; 2] = [BodySegment::FootR, BodySegment::FootL];
+
+/// What one person's run shows. Angles in degrees, root mean square over time.
+#[derive(Clone, Copy, Debug, Default)]
+struct Figures {
+    /// Hips about each of three axes, and knees; shoulders about each of three axes, elbows in flexion and pronation.
+    legs: f64,
+    arms: f64,
+    /// Knees in flexion; elbows in flexion, and in pronation.
+    hinges: [f64; 3],
+    /// Of the paper's limbs, on the same samples: legs, arms, headings.
+    euler: [f64; 3],
+    /// Between segments that hang on one another.
+    headings: f64,
+    /// Of the pelvis at the end, and the most it was wrong by in sigmas that were stated.
+    heading: f64,
+    heading_sigmas: f64,
+    way_m: f64,
+    /// %, mm, %.
+    way: f64,
+    slide: f64,
+    contacts: f64,
+    thigh: f64,
+    upper_arm: f64,
+}
+
+/// Sums of squared errors of a body's angles.
+#[derive(Clone, Copy, Debug, Default)]
+struct Angles {
+    legs: f64,
+    arms: f64,
+    headings: f64,
+    /// Knees in flexion; elbows in flexion, and in pronation.
+    hinges: [f64; 3],
+    count: f64,
+}
+
+impl Angles {
+    fn add(
+        &mut self,
+        found: &[Option<UnitQuaternion<f64>>; SEGMENTS],
+        truth: &[UnitQuaternion<f64>; SEGMENTS],
+    ) {
+        let q = |segment: BodySegment| found[segment.index()].unwrap_or_default();
+        let relative_rad = |above: BodySegment, own: BodySegment| {
+            let expected = truth[above.index()].inverse() * truth[own.index()];
+            so3::log(&(expected.inverse() * (q(above).inverse() * q(own)))).norm_squared()
+        };
+        let angle_rad = |above: BodySegment, own: BodySegment, which: usize| {
+            let found = joint_angles(own, &(q(above).inverse() * q(own)))[which];
+            let expected = joint_angles(own, &(truth[above.index()].inverse() * truth[own.index()]))[which];
+            so3::log(&so3::exp(&(Vector3::z() * (found - expected)))).z.powi(2)
+        };
+        for [upper, lower] in LEGS {
+            let knee_rad = angle_rad(upper, lower, 0);
+            self.hinges[0] += knee_rad / 2.0;
+            self.legs += (relative_rad(BodySegment::Pelvis, upper) + knee_rad) / 8.0;
+        }
+        for [upper, lower] in ARMS {
+            let elbow_rad = [0, 1].map(|which| angle_rad(upper, lower, which));
+            self.hinges[1] += elbow_rad[0] / 2.0;
+            self.hinges[2] += elbow_rad[1] / 2.0;
+            self.arms += (relative_rad(BodySegment::Torso, upper) + elbow_rad[0] + elbow_rad[1]) / 10.0;
+        }
+        let heading_rad = |segment: BodySegment| so3::log(&(q(segment) * truth[segment.index()].inverse())).z;
+        let pairs = BodySegment::ALL.into_iter().filter(|segment| found[segment.index()].is_some());
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (own, above) in pairs.filter_map(|own| own.parent().map(|above| (own, above))) {
+            let off = heading_rad(own) - heading_rad(above);
+            sum += so3::log(&so3::exp(&(Vector3::z() * off))).z.powi(2);
+            count += 1.0;
+        }
+        self.headings += sum / count;
+        self.count += 1.0;
+    }
+
+    fn rms_deg(&self) -> [f64; 6] {
+        let [knee, elbow, pronation] = self.hinges;
+        [self.legs, self.arms, self.headings, knee, elbow, pronation]
+            .map(|sum| (sum / self.count).sqrt().to_degrees())
+    }
+}
+
+/// A heel or a ball: where it was, and where it began to stand, in truth and by the estimate.
+#[derive(Clone, Debug, Default)]
+struct Sole {
+    last_m: Vec<Vector3<f64>>,
+    began_m: Option<[Vector3<f64>; 2]>,
+    slid_m: f64,
+    stood: usize,
+}
+
+impl Sole {
+    /// Takes the next place; how far a contact slid that is over.
+    fn push(&mut self, truth_m: Vector3<f64>, found_m: Vector3<f64>) -> Option<f64> {
+        self.last_m.push(truth_m);
+        let before_m = self.last_m.len().checked_sub(STILL_EPOCHS + 1).map(|at| self.last_m[at]);
+        let stands =
+            before_m.is_some_and(|before_m| (truth_m - before_m).norm() < STILL_M) && truth_m.z < FLOOR_M;
+        if stands {
+            let [true_m, began_m] = *self.began_m.get_or_insert([truth_m, found_m]);
+            self.slid_m = self.slid_m.max(((found_m - began_m) - (truth_m - true_m)).norm());
+            self.stood += 1;
+            return None;
+        }
+        let whole = self.stood >= STILL_EPOCHS;
+        let slid_m = (self.began_m.take().is_some() && whole).then_some(self.slid_m);
+        (self.slid_m, self.stood) = (0.0, 0);
+        slid_m
+    }
+}
+
+/// Somebody in a suit: calibrated by what the guide asks for, with only the height known.
+struct Suit {
+    wearer: Wearer,
+    calibration: Vec<(f64, BodySamples)>,
+    truth: Vec<[UnitQuaternion<f64>; SEGMENTS]>,
+    mounts: [Option<SensorMount>; SEGMENTS],
+}
+
+/// The room by the body's own facing: without magnetometers nothing else is known.
+fn room() -> UnitQuaternion<f64> {
+    UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -FACING_RAD)
+}
+
+fn calibrated(build: Build, seed: u64) -> Result<Suit, String> {
+    let script = Script { activity: Activity::Bends, calibration: false, facing: FACING_RAD, mistake: None };
+    let mut wearer = Wearer::new(WearerSpec {
+        script,
+        build,
+        errors: SensorErrors::calibrated(),
+        magnetometer: false,
+        disturbances: Vec::new(),
+        rate_hz: RATE_HZ,
+        clumsiness_rad: CLUMSY_RAD,
+        seed,
+    });
+    let mut guide = Guide::new([true; SEGMENTS], false, Thoroughness::Full);
+    let (mut calibration, mut truth) = (Vec::new(), Vec::new());
+    let mut pause = 0.0;
+    while pause < PAUSE_S {
+        let (samples, at) = wearer.step();
+        let samples = recorded(&samples, true);
+        guide.push(at.t_s, &samples);
+        calibration.push((at.t_s, samples));
+        truth.push(oriented(&at.body, room()));
+        if guide.prompt().is_none() {
+            pause += 1.0 / RATE_HZ;
+        }
+        if at.t_s > LONGEST_S {
+            return Err(format!("the guide still asks: {}", guide.prompt().unwrap_or_default()));
+        }
+    }
+    let (recording, blocks) = guide.recorded();
+    let found = calibrate(recording, blocks, &Skeleton::from_height(HEIGHT_M), &[None; SEGMENTS])
+        .map_err(|error| error.to_string())?;
+    Ok(Suit { wearer, calibration, truth, mounts: found.mounts })
+}
+
+fn solve(
+    take: &Arc<Take>,
+    seed: u64,
+    minutes: f64,
+    mut table: Option<&mut Table>,
+) -> Result<Figures, String> {
+    let build = take.build();
+    let mut suit = calibrated(build, seed)?;
+    let skeleton = Skeleton::from_height(HEIGHT_M);
+    let mut filter = BodyFilter::new(&skeleton, &suit.mounts, &BodyParams::default());
+    let mut euler = EulerBody::new(&skeleton, &suit.mounts, &BodyParams::default());
+    for ((_, samples), truth) in suit.calibration.iter().zip(&suit.truth) {
+        filter.push(samples, 1.0 / RATE_HZ);
+        euler.push(samples, 1.0 / RATE_HZ);
+        if let Some(table) = &mut table {
+            table.row(samples, truth);
+        }
+    }
+    suit.wearer.follow(Arc::clone(take));
+    let (mut angles, mut euler_angles) = (Angles::default(), Angles::default());
+    let mut figures = Figures::default();
+    let mut soles: [[Sole; 2]; 2] = Default::default();
+    let mut slides_m: Vec<f64> = Vec::new();
+    let mut ways_m = [0.0; 2];
+    let mut last: Option<[Vector3<f64>; 2]> = None;
+    for epoch in 0..(minutes * 60.0 * RATE_HZ) as usize {
+        let (samples, at) = suit.wearer.step();
+        let samples = recorded(&samples, true);
+        let truth = oriented(&at.body, room());
+        if let Some(table) = &mut table {
+            table.row(&samples, &truth);
+        }
+        let estimate = filter.push(&samples, 1.0 / RATE_HZ);
+        let by_euler = euler.push(&samples, 1.0 / RATE_HZ);
+        if (epoch as f64) < SETTLE_S * RATE_HZ {
+            continue;
+        }
+        angles.add(&estimate.orientations, &truth);
+        euler_angles.add(by_euler, &truth);
+        let pelvis = BodySegment::Pelvis.index();
+        let off = estimate.orientations[pelvis].unwrap_or_default() * truth[pelvis].inverse();
+        let heading_rad = so3::log(&off).z.abs();
+        figures.heading = heading_rad.to_degrees();
+        figures.heading_sigmas = figures.heading_sigmas.max(heading_rad / estimate.heading_sigma_rad);
+        let hips_m = [room() * at.body[pelvis].origin_m, estimate.pelvis_m(&skeleton)];
+        if epoch % WAY_EPOCHS == 0
+            && let Some(last) = last.replace(hips_m)
+        {
+            for (way_m, (now, before)) in ways_m.iter_mut().zip(hips_m.iter().zip(&last)) {
+                *way_m += (now - before).xy().norm();
+            }
+        }
+        let completed = estimate.completed();
+        let ankles_m = skeleton.ankles_m(&completed, hips_m[1]);
+        for (side, points) in build.soles_m(&at.body).into_iter().enumerate() {
+            let foot = FEET[side].index();
+            for (sole, point_m) in soles[side].iter_mut().zip(points) {
+                let own_m = at.body[foot].axes.transpose() * (point_m - at.body[foot].origin_m);
+                let found_m = ankles_m[side] + completed[foot] * own_m;
+                slides_m.extend(sole.push(room() * point_m, found_m));
+            }
+        }
+    }
+    let [legs, arms, headings, hinges @ ..] = angles.rms_deg();
+    (figures.legs, figures.arms, figures.headings, figures.hinges) = (legs, arms, headings, hinges);
+    let [legs, arms, headings, ..] = euler_angles.rms_deg();
+    figures.euler = [legs, arms, headings];
+    figures.way_m = ways_m[0];
+    figures.way = 100.0 * (ways_m[1] / ways_m[0] - 1.0).abs();
+    figures.contacts = slides_m.len() as f64;
+    figures.slide = 1e3 * slides_m.iter().sum::<f64>() / slides_m.len().max(1) as f64;
+    let learnt = filter.learnt();
+    let length = |pair: [BodySegment; 2], usual_m: f64, true_m: f64| {
+        let off = |segment: BodySegment| {
+            let length_m = learnt[segment.index()].and_then(|learnt| learnt.length_m);
+            100.0 * (length_m.map_or(usual_m, |[length_m, _]| length_m) / true_m - 1.0).abs()
+        };
+        0.5 * (off(pair[0]) + off(pair[1]))
+    };
+    figures.thigh = length([LEGS[0][0], LEGS[1][0]], skeleton.thigh_m, build.thigh_m);
+    figures.upper_arm = length([ARMS[0][0], ARMS[1][0]], skeleton.upper_arm_m, build.upper_arm_m);
+    Ok(figures)
+}
+
+/// `cargo bench --bench body people`
+pub(super) fn table() {
+    let words: Vec<String> = std::env::args().skip(2).collect();
+    let option = |key: &str| words.iter().find_map(|word| word.strip_prefix(key).map(str::to_owned));
+    let minutes: f64 = option("minutes=").and_then(|minutes| minutes.parse().ok()).unwrap_or(2.0);
+    let folder = option("write=").map(PathBuf::from);
+    let only = words.iter().find(|word| !word.contains('=') && !word.starts_with('-'));
+    let people = people();
+    if people.is_empty() {
+        emit(
+            "\nRecorded people are left out: their licences keep them out of the repository, and they are not beside it (`../shared/data`, or where SHARED_DATA says).",
+        );
+        return;
+    }
+    emit(&format!(
+        "\n| recorded people, {minutes} minutes each | legs | arms | knee, elbow, pronation | headings between segments | heading at the end | most, sigmas | way, m | its error, % | slide, mm | contacts | thigh, % | upper arm, % | Euler limbs: legs | arms | headings |"
+    ));
+    emit("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
+    let mut all: Vec<Figures> = Vec::new();
+    for (seed, (name, take)) in people.iter().enumerate() {
+        if only.is_some_and(|only| !name.contains(only.as_str())) {
+            continue;
+        }
+        let take = match take {
+            Ok(take) => take,
+            Err(error) => {
+                emit(&format!("| {name} | {error} |"));
+                continue;
+            }
+        };
+        let mut table = folder.as_ref().map(|_| Table::new(&take.build()));
+        match solve(take, seed as u64 + 1, minutes, table.as_mut()) {
+            Ok(figures) => {
+                emit(&row(name, &[figures]));
+                all.push(figures);
+            }
+            Err(error) => emit(&format!("| {name} | {error} |")),
+        }
+        if let (Some(folder), Some(table)) = (&folder, &table)
+            && let Err(error) = std::fs::write(folder.join(format!("{name}.csv")), &table.text)
+        {
+            emit(&format!("{}: {error}", folder.display()));
+        }
+    }
+    if all.len() > 1 {
+        emit(&row("median", &all));
+    }
+}
+
+/// Medians of the figures.
+fn row(name: &str, all: &[Figures]) -> String {
+    let median = |of: &dyn Fn(&Figures) -> f64| {
+        let mut values: Vec<f64> = all.iter().map(of).collect();
+        values.sort_by(f64::total_cmp);
+        0.5 * (values[(values.len() - 1) / 2] + values[values.len() / 2])
+    };
+    format!(
+        "| {name} | {:.2} | {:.2} | {:.1}, {:.1}, {:.1} | {:.2} | {:.1} | {:.1} | {:.0} | {:.1} | {:.0} | {:.0} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} |",
+        median(&|f| f.legs),
+        median(&|f| f.arms),
+        median(&|f| f.hinges[0]),
+        median(&|f| f.hinges[1]),
+        median(&|f| f.hinges[2]),
+        median(&|f| f.headings),
+        median(&|f| f.heading),
+        median(&|f| f.heading_sigmas),
+        median(&|f| f.way_m),
+        median(&|f| f.way),
+        median(&|f| f.slide),
+        median(&|f| f.contacts),
+        median(&|f| f.thigh),
+        median(&|f| f.upper_arm),
+        median(&|f| f.euler[0]),
+        median(&|f| f.euler[1]),
+        median(&|f| f.euler[2]),
+    )
+}
+
+type Named = (String, Result<Arc<Take>, String>);
+
+/// Who was recorded: four captures of CMU, and ten styles of Bandai Namco's people, each of all that was recorded of it.
+fn people() -> Vec<Named> {
+    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
+    let data = std::env::var_os("SHARED_DATA").map_or(beside, PathBuf::from);
+    let take = |recordings: Vec<Recording>| {
+        Take::new(recordings, HEIGHT_M).map(Arc::new).map_err(|error| error.to_string())
+    };
+    let mut people = Vec::new();
+    for name in ["13_29", "13_30", "14_20", "86_01"] {
+        let path = data.join(format!("cmu-labelled/{name}.csv.gz"));
+        if path.exists() {
+            let recording = Recording::read(&path, Some(120.0)).map_err(|error| error.to_string());
+            people.push((name.to_owned(), recording.and_then(|recording| take(vec![recording]))));
+        }
+    }
+    let mut styles: Vec<(String, String)> = styles(&data.join("bandai-motions")).into_iter().collect();
+    styles.sort_by_key(|(name, rows)| (usize::MAX - rows.len(), name.clone()));
+    for (name, rows) in styles.into_iter().take(STYLES) {
+        let recording = Recording::of_table(Path::new(&name), rows.as_bytes(), Some(30.0));
+        let recording = recording.map_err(|error| error.to_string());
+        people.push((name, recording.and_then(|recording| take(vec![recording]))));
+    }
+    people
+}
+
+/// Tables by style: clips are called action_style_number.
+fn styles(folder: &Path) -> BTreeMap<String, String> {
+    let mut styles: BTreeMap<String, String> = BTreeMap::new();
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
+    paths.sort();
+    for path in paths.iter().filter(|path| path.extension().is_some_and(|extension| extension == "gz")) {
+        let Ok(file) = std::fs::File::open(path) else { continue };
+        let mut text = String::new();
+        if flate2::read::MultiGzDecoder::new(file).read_to_string(&mut text).is_err() {
+            continue;
+        }
+        let Some((header, rows)) = text.split_once('\n') else { continue };
+        for row in rows.lines() {
+            let style = row.split(',').next().unwrap_or_default().split('_').nth(1).unwrap_or_default();
+            let table = styles.entry(style.to_owned()).or_insert_with(|| format!("{header}\n"));
+            table.push_str(row);
+            table.push('\n');
+        }
+    }
+    styles
+}
+
+/// Samples and truth of a run as CSV, for other programs: `benches/peers/body/functional_axes.py`.
+struct Table {
+    text: String,
+    epoch: usize,
+}
+
+impl Table {
+    fn new(build: &Build) -> Self {
+        let mut text = format!("# thigh_m = {}, upper_arm_m = {}\nt_s", build.thigh_m, build.upper_arm_m);
+        for name in BodySegment::ALL.map(BodySegment::name) {
+            for column in ["gx", "gy", "gz", "ax", "ay", "az", "qw", "qx", "qy", "qz"] {
+                _ = write!(text, ",{name}_{column}");
+            }
+        }
+        text.push('\n');
+        Self { text, epoch: 0 }
+    }
+
+    /// Gyro, rad/s, and accelerometer, m/s², sensor axes; true orientation, segment to room.
+    fn row(&mut self, samples: &BodySamples, truth: &[UnitQuaternion<f64>; SEGMENTS]) {
+        _ = write!(self.text, "{:.3}", self.epoch as f64 / RATE_HZ);
+        for (sample, q) in samples.iter().zip(truth) {
+            let Some(sample) = sample else { continue };
+            for value in sample.gyro_rad_s.iter().chain(sample.accel_m_s2.iter()) {
+                _ = write!(self.text, ",{value:.5}");
+            }
+            _ = write!(self.text, ",{:.6},{:.6},{:.6},{:.6}", q.w, q.i, q.j, q.k);
+        }
+        self.text.push('\n');
+        self.epoch += 1;
+    }
+}
