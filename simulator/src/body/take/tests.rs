@@ -246,9 +246,9 @@ fn bvh(activity: Activity, seconds: f64) -> String {
         let offset = rest(bones[parent].2) * Vector3::from(offset) * 100.0;
         let word = if at == 0 { "ROOT" } else { "JOINT" };
         let channels = if at == 0 { "6 Xposition Yposition Zposition" } else { "3" };
-        _ = write!(
+        _ = writeln!(
             text,
-            "{word} {name} {{ OFFSET {} {} {} CHANNELS {channels} Zrotation Xrotation Yrotation\n",
+            "{word} {name} {{ OFFSET {} {} {} CHANNELS {channels} Zrotation Xrotation Yrotation",
             offset.x, offset.y, offset.z
         );
         order.push(at);
@@ -257,7 +257,7 @@ fn bvh(activity: Activity, seconds: f64) -> String {
         }
         if !bones.iter().skip(1).any(|bone| bone.1 == at) {
             let end = if name == "Head" { "0 20 0" } else { "0 0 5" };
-            _ = write!(text, "End Site {{ OFFSET {end} }}\n");
+            _ = writeln!(text, "End Site {{ OFFSET {end} }}");
         }
         text.push_str("}\n");
     }
@@ -265,7 +265,7 @@ fn bvh(activity: Activity, seconds: f64) -> String {
     let mut order = Vec::new();
     open(&mut text, &bones, &rest, 0, &mut order);
     let frames = (seconds * RATE_HZ) as usize;
-    _ = write!(text, "MOTION\nFrames: {}\nFrame Time: {}\n", frames + 1, 1.0 / RATE_HZ);
+    _ = writeln!(text, "MOTION\nFrames: {}\nFrame Time: {}", frames + 1, 1.0 / RATE_HZ);
     text.push_str(&"0 ".repeat(3 + 3 * bones.len()));
     for frame in 0..frames {
         let body = scripted(activity, frame as f64 / RATE_HZ);
