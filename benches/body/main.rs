@@ -50,6 +50,8 @@ struct Case {
     everywhere: bool,
     /// How much longer thighs and upper arms are than the proportions say.
     longer: f64,
+    /// And shanks.
+    longer_shanks: f64,
 }
 
 impl Case {
@@ -66,6 +68,7 @@ impl Case {
             euler: false,
             everywhere: false,
             longer: 1.0,
+            longer_shanks: 1.0,
         }
     }
 }
@@ -105,6 +108,7 @@ fn record(case: &Case) -> Run {
     let mut build = Build::of_height(HEIGHT_M);
     build.thigh_m *= case.longer;
     build.upper_arm_m *= case.longer;
+    build.shank_m *= case.longer_shanks;
     let spec = WearerSpec {
         script: script.clone(),
         build,

@@ -37,7 +37,7 @@ struct Foothold {
 }
 
 fn solve(case: &Case) -> Result<Figures, String> {
-    let skeleton = Skeleton::from_height(HEIGHT_M);
+    let mut skeleton = Skeleton::from_height(HEIGHT_M);
     let run = record(case);
     let mounts = mounts(case, &run, &skeleton)?;
     let mut filter = BodyFilter::new(&skeleton, &mounts, &BodyParams::default());
@@ -51,7 +51,9 @@ fn solve(case: &Case) -> Result<Figures, String> {
     let begin_s = run.script.activity_s();
     let epochs = run.recording.iter().zip(&run.truth).zip(&run.origins_m);
     for (epoch, (((t_s, samples), truth), origins_m)) in epochs.enumerate() {
-        let estimate = filter.push(samples, 1.0 / RATE_HZ);
+        filter.push(samples, 1.0 / RATE_HZ);
+        skeleton = *filter.skeleton();
+        let estimate = filter.estimate();
         if *t_s < begin_s {
             continue;
         }
@@ -72,10 +74,10 @@ fn solve(case: &Case) -> Result<Figures, String> {
         let contacts = run.script.contacts(*t_s);
         for (side, shank) in SHANKS.into_iter().enumerate() {
             let index = shank.index();
-            let truth_m = origins_m[index] + truth[index] * skeleton.end_in_segment_m(shank);
+            let truth_m = origins_m[index] + truth[index] * Vector3::new(0.0, -run.build.shank_m, 0.0);
             let found_m = ankles_m[side];
             let flat = footholds[side].is_some_and(|foothold| (truth_m - foothold.truth_m).norm() < 1e-3);
-            let stands = said[side] > 0.5;
+            let stands = said[side].foot > 0.5;
             let on_floor = contacts.is_none_or(|contacts| contacts[side]);
             if flat {
                 counts[0][0] += 1.0;
@@ -122,6 +124,16 @@ pub(super) fn table() {
             ("skin", Case { errors: skin, ..case(Mounting::Calibrated) }),
             ("3 degrees wrong", case(Mounting::Wrong(3.0))),
             ("no field, calibrated", Case { magnetometer: false, ..case(Mounting::Calibrated) }),
+            ("sensors on the feet", Case { everywhere: true, ..case(Mounting::Calibrated) }),
+            (
+                "sensors on the feet, no field, perfect",
+                Case { everywhere: true, magnetometer: false, ..case(Mounting::Perfect) },
+            ),
+            ("legs 4 % longer", Case { longer: 1.04, longer_shanks: 1.04, ..case(Mounting::Calibrated) }),
+            (
+                "legs 4 % longer, sensors on the feet",
+                Case { longer: 1.04, longer_shanks: 1.04, everywhere: true, ..case(Mounting::Calibrated) },
+            ),
         ] {
             let found: Result<Vec<Figures>, String> =
                 (1..=PEOPLE).map(|seed| solve(&Case { seed, disturbances: Vec::new(), ..case })).collect();

@@ -208,7 +208,7 @@ fn who_strolls_gets_as_far_as_the_feet_bring_him() {
     assert!((0.05..2.0).contains(&(nees / count)) && last_sigma_m > 0.08, "{nees} {count} {last_sigma_m}");
     assert!(way_m > 8.0, "{way_m}");
     for foot in 0..2 {
-        let contacts = || all.iter().filter_map(|body| Some(body.contacts?[foot]));
+        let contacts = || all.iter().filter_map(|body| Some(body.contacts?[foot].foot));
         assert!(contacts().any(|stands| stands > 0.9) && contacts().any(|stands| stands < 0.1));
     }
 }
@@ -649,7 +649,7 @@ fn the_demos_person_walks_about_the_room_on_its_feet() {
             by_feet_s += 0.01;
             assert!(off_m < 3.0 * body.position_sigma_m.unwrap() + 0.01, "{off_m:.3} m at {t_s:.2} s");
             for (seen, contact) in stands.iter_mut().zip(body.contacts.unwrap()) {
-                seen[usize::from(contact > 0.5)] = true;
+                seen[usize::from(contact.foot > 0.5)] = true;
             }
         }
     }

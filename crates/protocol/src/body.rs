@@ -2,9 +2,9 @@
 
 use serde::ser::{Serialize, SerializeMap, SerializeSeq, SerializeStruct, Serializer};
 
-use super::message::{Contacts, HeadingSource, LearntEntry};
+use super::message::{Contacts, HeadingSource, LearntEntry, Sole};
 use super::{Names, Stamp, round};
-use posed_fusion::body::{Heading, Learnt};
+use posed_fusion::body::{FootContact, Heading, Learnt};
 use posed_stage::layout::SegmentLayout;
 use posed_stage::output::{Body, SegmentEstimate, SegmentState};
 
@@ -37,8 +37,7 @@ impl Serialize for FigureBody<'_> {
         figure.serialize_field("position_source", &self.body.position_source)?;
         let sigma_m = self.body.position_sigma_m.map(|sigma_m| round::to(round::POSITION, sigma_m));
         figure.serialize_field("position_sigma_m", &sigma_m)?;
-        let contacts = self.body.contacts.map(|contacts| round::each(round::PROBABILITY, contacts));
-        figure.serialize_field("contacts", &contacts.map(|[foot_r, foot_l]| Contacts { foot_r, foot_l }))?;
+        figure.serialize_field("contacts", &self.body.contacts.map(Contacts::from))?;
         figure.serialize_field("segments", &SegmentViews(self))?;
         figure.serialize_field("joints", &Joints(self))?;
         figure.end()
@@ -168,6 +167,17 @@ impl Serialize for Angles<'_> {
             map.serialize_entry(self.0.below.angle(index), &angle)?;
         }
         map.end()
+    }
+}
+
+impl From<[FootContact; 2]> for Contacts {
+    fn from([right, left]: [FootContact; 2]) -> Self {
+        let sole = |foot: FootContact| {
+            let [heel, toe] = round::each(round::PROBABILITY, foot.sole?);
+            Some(Sole { heel, toe })
+        };
+        let [foot_r, foot_l] = round::each(round::PROBABILITY, [right.foot, left.foot]);
+        Self { foot_r, foot_l, sole_r: sole(right), sole_l: sole(left) }
     }
 }
 

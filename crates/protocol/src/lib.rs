@@ -52,8 +52,8 @@ pub use message::{
     KeptExercise, KeptFile, KeyPose, LearntEntry, LinkState, ListedSessions, MapVersion, Measured, OkReply,
     People, PlanProgress, Plans, Problem, Quality, RecordingBegun, RecordingStatus, Recordings, RelatedClock,
     ReplayStatus, Report, Resumed, RunningSession, ScrewMotion, SegmentBody, SegmentEntry, SensorEntry,
-    SensorStatus, Sensors, ServerMessage, SessionBegun, Sessions, Shown, Spoken, StageEntry, StageLatency,
-    StagePresence, Stages, Started, Status, Tracked, TruthEntry, Truths,
+    SensorStatus, Sensors, ServerMessage, SessionBegun, Sessions, Shown, Sole, Spoken, StageEntry,
+    StageLatency, StagePresence, Stages, Started, Status, Tracked, TruthEntry, Truths,
 };
 pub use names::Names;
 pub use packed::{unpack, unpacker};

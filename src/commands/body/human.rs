@@ -125,7 +125,7 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
         last_s = Some(*t_s);
         estimates.push((*t_s, filter.push(samples, dt_s)));
     }
-    write(args, &present, &skeleton, &estimates)?;
+    write(args, &present, filter.skeleton().unwrap_or(&skeleton), &estimates)?;
 
     let learnt = filter.learnt();
     let summary = Summary {
@@ -173,6 +173,14 @@ impl Filter {
     fn await_field(&mut self) {
         if let Self::Joints(filter) = self {
             filter.await_field();
+        }
+    }
+
+    /// Lengths as the movements have shown them; the published limbs learn none.
+    fn skeleton(&self) -> Option<&Skeleton> {
+        match self {
+            Self::Joints(filter) => Some(filter.skeleton()),
+            Self::Euler(_) => None,
         }
     }
 
@@ -346,11 +354,16 @@ fn table(
         columns.extend(is_judged.then(|| format!("{name}_sigma_deg")));
     }
     columns.extend(is_judged.then(|| "heading_sigma_deg".to_owned()));
+    let soles = [("r", BodySegment::FootR), ("l", BodySegment::FootL)]
+        .map(|(side, foot)| (side, present[foot.index()]));
     let travels = estimates.iter().any(|(_, estimate)| estimate.travel.is_some());
     if travels {
         columns.extend(["x", "y", "z"].map(|axis| format!("pelvis_{axis}_m")));
         columns.push("position_sigma_m".to_owned());
         columns.extend(["r", "l"].map(|side| format!("foot_{side}_contact")));
+        for (side, _) in soles.iter().filter(|(_, worn)| *worn) {
+            columns.extend(["heel", "toe"].map(|end| format!("{end}_{side}_contact")));
+        }
     }
     let mut table = TableWriter::create(&args.output, &columns)?;
     for (t_s, estimate) in estimates {
@@ -372,7 +385,11 @@ fn table(
         if travels {
             table.vector(estimate.travel.map(|travel| <[f64; 3]>::from(travel.pelvis_m)))?;
             table.vector(estimate.travel.map(|travel| [travel.sigma_m]))?;
-            table.vector(estimate.travel.and_then(|travel| travel.contacts))?;
+            let contacts = estimate.travel.and_then(|travel| travel.contacts);
+            table.vector(contacts.map(|contacts| contacts.map(|contact| contact.foot)))?;
+            for (side, _) in soles.iter().enumerate().filter(|(_, (_, worn))| *worn) {
+                table.vector(contacts.and_then(|contacts| contacts[side].sole))?;
+            }
         }
         table.end_row()?;
     }

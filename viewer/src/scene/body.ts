@@ -19,6 +19,9 @@ const ANKLE = 0.039;
 const HEAD = 0.182;
 const HAND = 0.108;
 const TOES = 0.125;
+/** The heel and the ball of the foot, ahead of the ankle. */
+const HEEL = -0.031;
+const BALL = 0.081;
 const USUAL_HEIGHT_M = 1.75;
 
 /** How a segment looks by its state: colour, opacity and whether it is a net all say the same. */
@@ -119,7 +122,8 @@ export class BodyFigure {
   private readonly materials: Record<SegmentState, THREE.Material>;
   private readonly parts = new Map<string, Part>();
   private readonly marks: THREE.Mesh[] = [];
-  private readonly soles: { shank: string; foot: keyof Contacts; mesh: THREE.Mesh }[] = [];
+  /** Under each foot: whole, or heel and toe of one that wears a sensor. */
+  private readonly soles: { side: "r" | "l"; whole: THREE.Mesh; heel: THREE.Mesh; toe: THREE.Mesh }[] = [];
   private readonly reasons = new Labels();
   private said: string[] = [];
   private readonly offset = new THREE.Vector3();
@@ -142,12 +146,13 @@ export class BodyFigure {
       this.parts.set(name, { group, mesh, state: null });
     }
     const green = new THREE.MeshBasicMaterial({ color: STANDS_LOOK.colour, transparent: true, opacity: 0.7 });
-    for (const [shank, foot] of [["shank_r", "foot_r"], ["shank_l", "foot_l"]] as const) {
-      const mesh = new THREE.Mesh(new THREE.CircleGeometry(0.055, 24), green);
+    const mark = (radius: number) => {
+      const mesh = new THREE.Mesh(new THREE.CircleGeometry(radius, 24), green);
       mesh.visible = false;
-      this.soles.push({ shank, foot, mesh });
       this.group.add(mesh);
-    }
+      return mesh;
+    };
+    for (const side of ["r", "l"] as const) this.soles.push({ side, whole: mark(0.055), heel: mark(0.028), toe: mark(0.028) });
     this.group.add(this.reasons.group);
     this.group.visible = false;
   }
@@ -185,14 +190,23 @@ export class BodyFigure {
       } else this.below(part.group, byName.get("torso"), scale);
       part.group.scale.setScalar(scale);
     }
-    for (const { shank, foot, mesh } of this.soles) {
-      mesh.visible = contacts != null && contacts[foot] > 0.5;
-      if (!mesh.visible) continue;
-      const { group } = this.parts.get(shank)!;
-      mesh.position.copy(group.position).add(this.offset.set(0, -SHANK * scale, 0).applyQuaternion(group.quaternion));
-      // On the floor, and no deeper than to be seen.
-      mesh.position.z += 0.005 - ANKLE * scale;
-      mesh.scale.setScalar(scale);
+    for (const { side, whole, heel, toe } of this.soles) {
+      const sole = contacts?.[`sole_${side}`];
+      const stands = (probability: number | undefined) => probability !== undefined && probability > 0.5;
+      whole.visible = !sole && stands(contacts?.[`foot_${side}`]);
+      heel.visible = stands(sole?.heel);
+      toe.visible = stands(sole?.toe);
+      const { position, quaternion } = this.parts.get(`foot_${side}`)!.group;
+      for (const [mesh, ahead] of [[heel, HEEL], [toe, BALL]] as const) {
+        mesh.position.copy(position).add(this.offset.set(ahead * scale, -ANKLE * scale, 0).applyQuaternion(quaternion));
+      }
+      whole.position.copy(position);
+      whole.position.z -= ANKLE * scale;
+      for (const mesh of [whole, heel, toe]) {
+        // On the floor, and no deeper than to be seen.
+        mesh.position.z += 0.005;
+        mesh.scale.setScalar(scale);
+      }
     }
     this.markIll(segments.filter(({ name, state }) => state === "suspect" && this.parts.has(name)));
     const pelvis = this.parts.get("pelvis")!.group;

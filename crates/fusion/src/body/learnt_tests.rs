@@ -90,10 +90,11 @@ fn movements_show_how_sensors_sit_and_how_long_a_thigh_is() {
     }
     let learnt = person.filter.learnt();
     assert_eq!(
-        learnt[BodySegment::ShankR.index()].unwrap().length_m,
+        learnt[BodySegment::ForearmR.index()].unwrap().length_m,
         None,
         "nothing hangs on it that shows it"
     );
+    assert!((person.filter.skeleton().thigh_m / truth_m - 1.0).abs() < 0.02, "the figure has them");
     assert_eq!(learnt[BodySegment::Torso.index()], None);
 }
 

@@ -18,6 +18,7 @@
 //! of the room from a magnet on the sensor; the limb sees it as an azimuth that cannot tilt anything. Without
 //! a magnetometer the headings hold by the gyros, the hinges of elbow and knee and rests; [`Heading::Held`] says so.
 
+mod anchor;
 mod angles;
 mod assign;
 mod block;
@@ -29,6 +30,7 @@ mod health;
 mod inverse;
 #[cfg(test)]
 mod learnt_tests;
+mod legs;
 mod limbs;
 mod places;
 mod posture;
@@ -40,14 +42,13 @@ mod taps;
 #[cfg(test)]
 mod tests;
 mod travel;
-#[cfg(test)]
-mod travel_tests;
 mod whole;
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
+pub use anchor::Anchor;
 pub use angles::{ANGLE_NAMES, ANGLES, angles, joint_angles, joint_rotation, of_joint};
 pub use assign::{AssignError, Assignment, assign};
 pub use block::{Block, BlockKind, Movement, Recorded};
@@ -60,7 +61,7 @@ pub use posture::orientations;
 pub use skeleton::{BodySegment, Limb, SEGMENTS, Skeleton, completed, upright};
 pub use spread::{AngleSpread, independent};
 pub use taps::DoubleTap;
-pub use travel::Travel;
+pub use travel::{FootContact, Travel};
 pub use whole::{WHOLE, WholeSegment, t_pose, whole, whole_t_pose};
 
 use super::ahrs::{Ahrs, CALIBRATED_HEADING_RAD, CALIBRATED_TILT_RAD, ImuSample, Params};
@@ -69,7 +70,7 @@ use super::limb::{Base, LimbNoise};
 use health::Watch;
 use limbs::LimbFilter;
 use posed_geometry::GRAVITY_M_S2;
-use travel::{Legs, TravelFilter, carried};
+use travel::TravelFilter;
 
 /// Samples of the whole body at one time, sensor axes, by [`BodySegment::index`]; `None` where no sensor is worn or none
 /// came.
@@ -140,7 +141,7 @@ pub struct Learnt {
     pub mounting_sigma_rad: f64,
     /// By how much its sensor sits otherwise than the body began with, rad: a strap has slipped, or the pose was not held so well.
     pub turned_rad: f64,
-    /// Length of a thigh or an upper arm and its standard deviation, m; absent for a shank or a forearm, which no joint at their end shows.
+    /// Length of a thigh, an upper arm or a shank and its standard deviation, m; absent for a forearm, whose end nothing shows.
     pub length_m: Option<[f64; 2]>,
 }
 
@@ -264,8 +265,12 @@ pub struct BodyFilter {
     held_s: f64,
     skeleton: Skeleton,
     travel: TravelFilter,
-    /// Angular velocities of the right and the left shank's sensor a sample ago, rad/s, sensor axes.
-    shanks_rad_s: [Option<Vector3<f64>>; 2],
+    /// Angular velocities of the sensors of shanks and feet a sample ago, rad/s, sensor axes.
+    turns_rad_s: [Option<Vector3<f64>>; SEGMENTS],
+    /// Since something else said last where the body is, s.
+    unanchored_s: f64,
+    /// Whether something else has ever told the heading.
+    heading_anchored: bool,
     estimate: BodyEstimate,
 }
 
@@ -292,8 +297,10 @@ impl BodyFilter {
             last_motions: [None; 2],
             held_s: 0.0,
             skeleton: *skeleton,
-            travel: TravelFilter::new(skeleton.foot_m),
-            shanks_rad_s: [None; 2],
+            travel: TravelFilter::new(skeleton),
+            turns_rad_s: [None; SEGMENTS],
+            unanchored_s: 0.0,
+            heading_anchored: false,
             estimate: BodyEstimate::default(),
         }
     }
@@ -309,10 +316,15 @@ impl BodyFilter {
         let mut all = [None; SEGMENTS];
         for (limb, filter) in Limb::ALL.into_iter().zip(&self.limbs) {
             let [_, upper, lower] = limb.segments();
-            for (segment, length_m) in [(upper, filter.upper_length_m()), (lower, None)] {
+            let shank_m = match limb {
+                Limb::LegR => Some(self.travel.shanks_m()[0]),
+                Limb::LegL => Some(self.travel.shanks_m()[1]),
+                Limb::ArmR | Limb::ArmL => None,
+            };
+            for (segment, length_m) in [(upper, filter.upper_length_m()), (lower, shank_m)] {
                 let Some(sensor) = &self.sensors[segment.index()] else { continue };
                 let mount = &sensor.mount;
-                all[segment.index()] = (mount.sigma_rad != Vector3::zeros()).then(|| Learnt {
+                all[segment.index()] = sensor.is_learnt().then(|| Learnt {
                     mounting_sigma_rad: mount.rms_rad(),
                     turned_rad: mount.q_segment_sensor.angle_to(&sensor.began),
                     length_m,
@@ -320,6 +332,11 @@ impl BodyFilter {
             }
         }
         all
+    }
+
+    /// Lengths as the movements have shown them so far, beginning with those that the body was given; both sides are alike.
+    pub fn skeleton(&self) -> &Skeleton {
+        &self.skeleton
     }
 
     /// Lets every sensor wait for a field, for a second at most: magnetometers are slower than gyros, and limbs that begin with a
@@ -370,22 +387,14 @@ impl BodyFilter {
             }
         }
         self.publish(&orientations, &bases, dt_s);
+        self.resize();
+        self.unanchored_s += dt_s;
         let heading_rad = self.estimate.heading_sigma_rad;
         self.estimate.travel = match self.legs(samples) {
             Some(legs) => Some(self.travel.push(&legs, heading_rad, dt_s)),
             None => self.travel.pause(heading_rad),
         };
         &self.estimate
-    }
-
-    /// Something else says where the hips' mid-point is, room, m: feet go on from there.
-    pub fn place_at(&mut self, pelvis_m: Vector3<f64>) {
-        if let (Some(pelvis), Some(q_room_pelvis)) = (
-            &self.sensors[BodySegment::Pelvis.index()],
-            self.estimate.orientations[BodySegment::Pelvis.index()],
-        ) {
-            self.travel.place_at(pelvis_m, q_room_pelvis * pelvis.mount.offset_m);
-        }
     }
 
     /// Whether the heading of the sensor on this segment is held by its gyro alone: it has begun, and no sample of it had a field.
@@ -422,43 +431,6 @@ impl BodyFilter {
             self.held_s = 0.0;
         }
         done
-    }
-
-    /// What the feet say of one time; `None` unless the sensors on pelvis and both legs show it.
-    fn legs(&mut self, samples: &BodySamples) -> Option<Legs> {
-        let shows = |segment: BodySegment| {
-            let sensor = self.sensors[segment.index()].as_ref()?;
-            let current = sensor.behind_s <= HOLD_S && sensor.settled_s >= LEGS_S;
-            (current && self.estimate.orientations[segment.index()].is_some()).then_some(sensor)
-        };
-        let measured = |segment: BodySegment| samples[segment.index()].filter(health::usable);
-        let pelvis = shows(BodySegment::Pelvis)?;
-        let all = self.estimate.completed();
-        let mut accels_m_s2 = [None; 2];
-        let mut shanks_rad_s = [None; 2];
-        for (side, limb) in [Limb::LegR, Limb::LegL].into_iter().enumerate() {
-            let [_, thigh, shank] = limb.segments();
-            let (_, sensor) = (shows(thigh)?, shows(shank)?);
-            let Some(sample) = measured(shank) else { continue };
-            let turns = sample.gyro_rad_s - sensor.ahrs.bias_rad_s();
-            shanks_rad_s[side] = Some(turns);
-            if let Some(before) = &self.shanks_rad_s[side] {
-                let mount = &sensor.mount;
-                let ankle_m = self.skeleton.end_in_segment_m(shank);
-                let point_m = mount.q_segment_sensor.inverse() * (ankle_m - mount.offset_m);
-                let q_room_sensor = all[shank.index()] * mount.q_segment_sensor;
-                let turns = [&turns, before];
-                accels_m_s2[side] =
-                    Some(carried(&q_room_sensor, &sample.accel_m_s2, turns, sensor.step_s, &point_m));
-            }
-        }
-        let q_room_pelvis = all[BodySegment::Pelvis.index()];
-        let specific_force_m_s2 = measured(BodySegment::Pelvis)
-            .map(|sample| q_room_pelvis * (pelvis.mount.q_segment_sensor * sample.accel_m_s2));
-        let sensor_m = q_room_pelvis * pelvis.mount.offset_m;
-        let ankles_m = self.skeleton.ankles_m(&all, Vector3::zeros());
-        self.shanks_rad_s = shanks_rad_s;
-        Some(Legs { sensor_m, specific_force_m_s2, ankles_m, accels_m_s2 })
     }
 
     /// The latest estimate; nothing known before the first [`Self::push`].
@@ -565,6 +537,11 @@ impl BodyFilter {
 }
 
 impl Sensor {
+    /// Whether movements show how it sits: what was given as exact stays.
+    fn is_learnt(&self) -> bool {
+        self.mount.sigma_rad != Vector3::zeros()
+    }
+
     /// What calibrated sensors are systematically wrong by, rms about an axis, rad: the accelerometer's bias tilts, the magnetometer'
     /// iron turns the heading, or without a field the gyro's bias for `held_s`, and its mounting is as good as the calibration was.
     fn systematic_rad(&self, held_s: f64) -> f64 {

@@ -281,6 +281,13 @@ impl Skeleton {
         0.5 * self.joint_in_segment_m(segment) + 0.5 * self.end_in_segment_m(segment)
     }
 
+    /// From an ankle back to the heel and ahead to the ball of the foot, along the floor, m: of a foot's length its last fifth, and 0.72 less that (the heads of the
+    /// metatarsal bones).
+    pub fn sole_m(&self) -> [f64; 2] {
+        let heel_m = self.toes_m * 0.25;
+        [heel_m, 0.72 * (self.toes_m + heel_m) - heel_m]
+    }
+
     /// Origins of all segments in the room, m, by [`BodySegment::index`], from their orientations (segment to room) and the
     /// hips' mid-point in the room.
     pub fn origins_m(

@@ -16,7 +16,7 @@ use self::epochs::{Epoch, Epochs};
 use super::PipelineError;
 use crate::frame::Frame;
 use posed_fusion::body::{
-    BodyEstimate, BodyFilter, BodyParams, BodySegment, DoubleTap, Figure, Follower, Heading, Learnt,
+    Anchor, BodyEstimate, BodyFilter, BodyParams, BodySegment, DoubleTap, Figure, Follower, Heading,
     SEGMENTS, SensorMount, Skeleton, Tracked, angles,
 };
 use posed_fusion::faults::Cause;
@@ -26,11 +26,13 @@ use posed_stage::layout::{Wearers, skeleton_of, start_of};
 use posed_stage::output::{Body, Estimate, PoseEstimate, PositionSource, SegmentEstimate, SegmentState};
 use posed_stage::{BodyIndex, Mounting, Stage};
 
-/// Expected error of the hips' place by trackers, along an axis, m: what lies between is posture.
+/// Expected error of the hips' place by trackers alone, along an axis, m: what lies between is posture.
 const TRACKED_M: f64 = 0.02;
 /// Expected error of a segment that trackers show, and of one between them, rad.
 const TRACKED_RAD: f64 = 0.05;
 const BETWEEN_RAD: f64 = 0.15;
+/// A tracker whose rotation is no better known measures none, rad.
+const UNTURNED_RAD: f64 = 0.5;
 /// And how far heads, hands and feet depart from what they hang on, that is known, rad.
 const HANGS_RAD: f64 = 0.35;
 
@@ -57,6 +59,7 @@ pub(super) struct BodyStage {
     /// The hips' mid-point where trackers last saw it, m.
     pelvis_m: Option<Vector3<f64>>,
     tracked: Vec<Tracked>,
+    anchors: Vec<Anchor>,
     out: Body,
 }
 
@@ -65,8 +68,10 @@ pub(super) struct BodyStage {
 struct BodyTracker {
     sensor: SensorIndex,
     segment: BodySegment,
-    /// Sensor to segment; beside IMUs only its place counts.
+    /// Sensor to segment.
     segment_from_sensor: Isometry3<f64>,
+    /// Whether it is known how it is turned there; beside IMUs its place alone counts if it is not.
+    is_turn_known: bool,
 }
 
 /// How the body is found.
@@ -101,7 +106,12 @@ impl BodyStage {
             rotations_known &= rotation.is_some();
             let position_m = sensor.offset_m.map_or_else(|| skeleton.usual_sensor_m(*segment), Vector3::from);
             let segment_from_sensor = Isometry3::from_parts(position_m.into(), rotation.unwrap_or_default());
-            trackers.push(BodyTracker { sensor: *index, segment: *segment, segment_from_sensor });
+            trackers.push(BodyTracker {
+                sensor: *index,
+                segment: *segment,
+                segment_from_sensor,
+                is_turn_known: rotation.is_some(),
+            });
         }
         let imus = wearers.imus;
         let field = all_have_field(stage, &imus);
@@ -124,6 +134,7 @@ impl BodyStage {
             tapped_now: None,
             wearing: wearing(&imus, &trackers),
             tracked: Vec::with_capacity(trackers.len()),
+            anchors: Vec::with_capacity(trackers.len()),
             trackers,
             epochs: Epochs::new(imus, field),
             solver,
@@ -152,8 +163,7 @@ impl BodyStage {
                     self.tapped_now = tapped.and_then(|segment| self.wearing[segment]);
                 }
                 self.out.t_valid = t?;
-                let (found, learnt) = (filter.estimate().clone(), filter.learnt());
-                self.place(&found, &learnt, estimate);
+                self.place(estimate);
             }
             Solver::Trackers(follower) => {
                 self.tracked.clear();
@@ -209,6 +219,7 @@ impl BodyStage {
                 }
             } else if let Some(tracker) = tracker {
                 tracker.segment_from_sensor = pose;
+                tracker.is_turn_known = true;
                 tracked += 1;
             } else {
                 return false;
@@ -310,42 +321,45 @@ impl BodyStage {
         BodySegment::ALL.into_iter().filter_map(ill)
     }
 
-    /// Fills in what IMUs show.
-    fn place(&mut self, found: &BodyEstimate, learnt: &[Option<Learnt>; SEGMENTS], estimate: &Estimate) {
+    /// Fills in what IMUs show, and trackers beside them.
+    fn place(&mut self, estimate: &Estimate) {
+        let Solver::Imus(filter) = &mut self.solver else { return };
+        self.anchors.clear();
+        self.anchors.extend(self.trackers.iter().filter_map(|tracker| {
+            let pose = shown(estimate, tracker.sensor)?;
+            let sits = &tracker.segment_from_sensor;
+            let [sigma_m, sigma_rad] = sigmas(pose);
+            let turned = orientation_from_wxyz(pose.orientation_wxyz).filter(|_| tracker.is_turn_known);
+            Some(Anchor {
+                segment: tracker.segment,
+                offset_m: sits.translation.vector,
+                position_m: Vector3::from(pose.position_m?),
+                sigma_m,
+                orientation: turned
+                    .filter(|_| sigma_rad < UNTURNED_RAD)
+                    .map(|turned| (turned * sits.rotation.inverse(), sigma_rad)),
+            })
+        }));
+        let anchored = filter.anchor(&self.anchors);
+        let (found, learnt, skeleton) = (filter.estimate(), filter.learnt(), filter.skeleton());
         let all = found.completed();
-        let from_hips = self.skeleton.origins_m(&all, Vector3::zeros());
-        let (mut sum, mut count) = (Vector3::zeros(), 0.0);
-        for tracker in &self.trackers {
-            let index = tracker.segment.index();
-            if let Some(position_m) = shown(estimate, tracker.sensor).and_then(|pose| pose.position_m)
-                && found.orientations[index].is_some()
-            {
-                let expected_m =
-                    from_hips[index] + all[index] * tracker.segment_from_sensor.translation.vector;
-                sum += Vector3::from(position_m) - expected_m;
-                count += 1.0;
-            }
-        }
-        if count > 0.0 {
-            let pelvis_m = sum / count;
+        let from_hips = skeleton.origins_m(&all, Vector3::zeros());
+        if let Some((pelvis_m, _)) = anchored {
             self.pelvis_m = Some(pelvis_m);
-            if let Solver::Imus(filter) = &mut self.solver {
-                filter.place_at(pelvis_m);
-            }
         }
         let begun_m = if self.pelvis_m.is_none() { self.start_m } else { Vector3::zeros() };
         let (pelvis_m, position_source) = match (self.pelvis_m, found.travel) {
-            (Some(pelvis_m), _) if count > 0.0 => (pelvis_m, PositionSource::Trackers),
+            (Some(pelvis_m), _) if anchored.is_some() => (pelvis_m, PositionSource::Trackers),
             (_, Some(travel)) if travel.contacts.is_some() => {
                 (begun_m + travel.pelvis_m, PositionSource::Feet)
             }
             (_, Some(travel)) => (begun_m + travel.pelvis_m, PositionSource::Held),
             (Some(pelvis_m), None) => (pelvis_m, PositionSource::Held),
-            (None, None) => (begun_m + found.pelvis_m(&self.skeleton), PositionSource::Origin),
+            (None, None) => (begun_m + found.pelvis_m(skeleton), PositionSource::Origin),
         };
         self.out.position_source = position_source;
         self.out.position_sigma_m = match position_source {
-            PositionSource::Trackers => Some(TRACKED_M),
+            PositionSource::Trackers => anchored.map(|(_, sigma_m)| sigma_m),
             PositionSource::Feet => found.travel.map(|travel| travel.sigma_m),
             PositionSource::Held | PositionSource::Origin => None,
         };
@@ -485,6 +499,13 @@ fn mounting(
 /// An index is that of no sensor of the stage.
 pub fn all_have_field(stage: &Stage, imus: &[Option<SensorIndex>; SEGMENTS]) -> bool {
     imus.iter().flatten().all(|index| has_field(stage, *index))
+}
+
+/// Standard deviations of a pose along an axis, m, and about an axis, rad.
+fn sigmas(pose: &PoseEstimate) -> [f64; 2] {
+    // The diagonal of an upper triangle of six rows.
+    let of = |diagonal: [usize; 3]| (diagonal.map(|at| pose.covariance[at]).iter().sum::<f64>() / 3.0).sqrt();
+    [of([0, 6, 11]), of([15, 18, 20])]
 }
 
 /// The pose of a tracker that may be used, or that its IMU carries on.

@@ -39,13 +39,28 @@ pub struct Figure {
     pub joints: Vec<JointEntry>,
 }
 
-/// How likely each foot stands on the floor, 0 to 1.
+/// How likely each foot stands on the floor, 0 to 1: any part of it, or without a sensor on it, all of it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Contacts {
     /// The right foot.
     pub foot_r: f64,
     /// The left foot.
     pub foot_l: f64,
+    /// Heel and toes of the right foot; null where it wears no sensor.
+    #[serde(default)]
+    pub sole_r: Option<Sole>,
+    /// Heel and toes of the left foot; null where it wears no sensor.
+    #[serde(default)]
+    pub sole_l: Option<Sole>,
+}
+
+/// How likely the two ends of a sole stand on the floor, 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Sole {
+    /// The heel.
+    pub heel: f64,
+    /// The toes, which stand by the ball of the foot.
+    pub toe: f64,
 }
 
 /// Where a body's heading comes from.
@@ -89,7 +104,7 @@ pub struct LearntEntry {
     pub mounting_sigma_deg: f64,
     /// By how much its sensor sits otherwise than the calibration found, degrees: a strap has slipped, or a pose was not held so well.
     pub turned_deg: f64,
-    /// Length of a thigh or an upper arm, m; null for a shank or a forearm.
+    /// Length of a thigh, an upper arm or a shank, m; null for a forearm.
     pub length_m: Option<f64>,
     /// Its standard deviation, m.
     pub length_sigma_m: Option<f64>,

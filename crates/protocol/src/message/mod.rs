@@ -27,7 +27,7 @@ pub use self::answer::{
     Answer, Demonstration, Exercises, FigureSegment, KeptExercise, KeptFile, ListedSessions, MapVersion,
     People, Plans, RecordingBegun, Recordings, Report, Resumed, SessionBegun, Shown, Started, Tracked,
 };
-pub use self::body::{Contacts, Figure, HeadingSource, JointEntry, LearntEntry, SegmentEntry};
+pub use self::body::{Contacts, Figure, HeadingSource, JointEntry, LearntEntry, SegmentEntry, Sole};
 pub use self::exercise::{Begun, Deviation, ExerciseChange, ExerciseEvent, Judged, Spoken};
 pub use self::faults::{Fault, FaultChange};
 pub use self::field::{FieldChange, FieldEvent};

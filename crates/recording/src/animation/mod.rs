@@ -111,6 +111,11 @@ impl Animation {
         Self { skeleton, frames: Vec::new() }
     }
 
+    /// Its skeleton is this one, as it is known at the end.
+    pub fn resize(&mut self, skeleton: Skeleton) {
+        self.skeleton = skeleton;
+    }
+
     /// Appends a frame: its time, s; the orientations, segment to room, by [`posed_fusion::body::BodySegment::index`]; the hips' mid-point in the
     /// room, m. A frame whose time does not rise is left out.
     pub fn push(&mut self, t_s: f64, orientations: [UnitQuaternion<f64>; SEGMENTS], pelvis_m: Vector3<f64>) {

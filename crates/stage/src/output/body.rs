@@ -7,7 +7,7 @@ use serde_big_array::BigArray;
 
 use crate::BodyIndex;
 use crate::input::SensorIndex;
-use posed_fusion::body::{ANGLES, AngleSpread, Heading, Learnt};
+use posed_fusion::body::{ANGLES, AngleSpread, FootContact, Heading, Learnt};
 use posed_fusion::faults::Cause;
 
 /// Segments and joint angles at one time, an estimate without delay; the order of both is that of [`crate::layout::BodyLayout`].
@@ -28,8 +28,8 @@ pub struct Body {
     /// Its standard deviation along each level axis, m: by trackers, or from where they were heard last, or where it began, by the feet. Absent where nobody
     /// knows how far it has gone.
     pub position_sigma_m: Option<f64>,
-    /// How likely the right and the left foot stand, 0 to 1; absent unless sensors show the pelvis and both legs now.
-    pub contacts: Option<[f64; 2]>,
+    /// How likely the right and the left foot stand; absent unless sensors show the pelvis and both legs now.
+    pub contacts: Option<[FootContact; 2]>,
     /// One per segment.
     pub segments: Vec<SegmentEstimate>,
     /// Joint angles, rad, in the order of [`posed_fusion::body::ANGLE_NAMES`], of a chain the flexions by segment; `None` where a
