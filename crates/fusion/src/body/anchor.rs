@@ -4,6 +4,7 @@
 //! against the trunk, and what a field tells of headings it leaves alone.
 
 use nalgebra::{UnitQuaternion, Vector3};
+use posed_state::Plain;
 
 use super::skeleton::{BodySegment, Limb, SEGMENTS};
 use super::{BodyFilter, Heading};
@@ -22,13 +23,13 @@ const TOLD_RAD: f64 = 0.2;
 const WORN_RAD: f64 = 0.05;
 
 /// Where a sensor on a segment is by something else than IMUs.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub struct Anchor {
-    /// The segment that wears it, and where, segment frame, m.
+    /// The segment that wears it.
     pub segment: BodySegment,
     /// Where on it, segment frame, m.
     pub offset_m: Vector3<f64>,
-    /// Where it is in the room, m, and the standard deviation of that along an axis, m.
+    /// Where it is in the room, m.
     pub position_m: Vector3<f64>,
     /// Standard deviation of that along an axis, m.
     pub sigma_m: f64,

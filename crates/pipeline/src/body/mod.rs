@@ -16,8 +16,8 @@ use self::epochs::{Epoch, Epochs};
 use super::PipelineError;
 use crate::frame::Frame;
 use posed_fusion::body::{
-    Anchor, BodyEstimate, BodyFilter, BodyParams, BodySegment, DoubleTap, Figure, Follower, Heading,
-    SEGMENTS, SensorMount, Skeleton, Tracked, angles,
+    Anchor, BodyFilter, BodyParams, BodySegment, DoubleTap, Figure, Follower, Heading, SEGMENTS, SensorMount,
+    Skeleton, Tracked, angles,
 };
 use posed_fusion::faults::Cause;
 use posed_geometry::{isometry, orientation_from_wxyz, orientation_to_wxyz};
