@@ -368,12 +368,16 @@ export type Change = {
 /** Everything a client can send. */
 export type ClientMessage = Feed | Call;
 
-/** How likely each foot stands on the floor, 0 to 1. */
+/** How likely each foot stands on the floor, 0 to 1: any part of it, or without a sensor on it, all of it. */
 export type Contacts = {
   /** The left foot. */
   foot_l: number;
   /** The right foot. */
   foot_r: number;
+  /** Heel and toes of the left foot; null where it wears no sensor. */
+  sole_l: Sole | null;
+  /** Heel and toes of the right foot; null where it wears no sensor. */
+  sole_r: Sole | null;
 };
 
 /** How an exercise was taught, as a figure that moves. */
@@ -996,7 +1000,7 @@ export type KeyPoseMessage = {
 
 /** What movements have shown of a segment. */
 export type LearntEntry = {
-  /** Length of a thigh or an upper arm, m; null for a shank or a forearm. */
+  /** Length of a thigh, an upper arm or a shank, m; null for a forearm. */
   length_m: number | null;
   /** Its standard deviation, m. */
   length_sigma_m: number | null;
@@ -1607,6 +1611,14 @@ export type Side = "left" | "right";
 
 /** Which segments a body has. */
 export type Skeleton = "human" | "custom";
+
+/** How likely the two ends of a sole stand on the floor, 0 to 1. */
+export type Sole = {
+  /** The heel. */
+  heel: number;
+  /** The toes, which stand by the ball of the foot. */
+  toe: number;
+};
 
 /** Speed of a replay. */
 export type Speed = number | SpeedWord;
