@@ -374,13 +374,13 @@ impl TravelFilter {
         }
         let foothold = foothold(side, which);
         // One that comes down goes on doing so for a while: until it has landed it begins again each time, and holds nothing.
-        if contact.stood_s < LANDED_S {
+        if contact.before_s < LANDED_S {
             for (k, axis) in self.axes.iter_mut().enumerate() {
                 axis.begin(foothold, at_m[k], POINT_M * POINT_M);
             }
-            return;
-        }
-        if contact.before_s < LANDED_S {
+            if contact.stood_s < LANDED_S {
+                return;
+            }
             self.level(foothold, height_m);
         }
         let loose_m = LOOSE_S * speed_m_s.map_or(0.0, |speed| speed.norm());

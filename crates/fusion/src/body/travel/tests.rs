@@ -139,7 +139,7 @@ fn a_foot_with_a_sensor_stands_by_heel_and_ball() {
     }
     assert!((way_m[1] / way_m[0] - 1.0).abs() < 0.02 && way_m[0] > 20.0, "{way_m:?}");
     let [none, heel, ball, both] = seen;
-    assert!(none > 1000 && heel > 200 && ball > 700 && both > 2000, "{seen:?}");
+    assert!(none > 1000 && heel > 200 && ball > 700 && both > 1000, "{seen:?}");
     // The simulated foot turns about a point 0.061 of the height ahead of its ankle; the proportions say 0.081.
     for side in 0..2 {
         let [_, ball_m] = filter.travel.sole_m(side);
