@@ -1,6 +1,7 @@
 //! How well a simulated body is solved, and what it costs: the tables of `docs/body.md`. `cargo bench --bench body`, with a case or an activity for its rows
 
 mod deceit;
+mod few;
 mod learnt;
 mod people;
 mod travel;
@@ -366,6 +367,9 @@ fn main() {
     }
     if only.as_ref().is_none_or(|only| "slips".contains(only.as_str())) {
         learnt::slips();
+    }
+    if only.as_ref().is_none_or(|only| "few".contains(only.as_str())) {
+        few::few();
     }
     if only.as_ref().is_none_or(|only| "speed".contains(only.as_str())) {
         speed();

@@ -254,7 +254,7 @@ fn solve(
                 *way_m += (now - before).xy().norm();
             }
         }
-        let completed = estimate.completed();
+        let completed = estimate.posture;
         let ankles_m = skeleton.ankles_m(&completed, hips_m[1]);
         for (side, points) in build.soles_m(&at.body).into_iter().enumerate() {
             let foot = FEET[side].index();

@@ -70,7 +70,7 @@ fn solve(case: &Case) -> Result<Figures, String> {
         let offset_m = hips_m[1] - hips_m[0];
         let offset_m = offset_m - *began_m.get_or_insert(offset_m);
         (figures.end_m, figures.end_height_m) = (offset_m.xy().norm(), offset_m.z);
-        let ankles_m = skeleton.ankles_m(&estimate.completed(), travel.pelvis_m);
+        let ankles_m = skeleton.ankles_m(&estimate.posture, travel.pelvis_m);
         let contacts = run.script.contacts(*t_s);
         for (side, shank) in SHANKS.into_iter().enumerate() {
             let index = shank.index();

@@ -5,7 +5,7 @@ use posed_fusion::ahrs::ImuSample;
 use posed_fusion::body::assign;
 use posed_fusion::body::{
     ANGLE_NAMES, BodyEstimate, BodyFilter, BodyParams, BodySamples, BodySegment, Heading, SEGMENTS,
-    SensorMount, Skeleton, angles, of_joint,
+    SensorMount, Skeleton, angles, completed, inner_angles, joints_between, of_joint,
 };
 use posed_fusion::body::{Block, BlockKind, Recorded, calibrate};
 use posed_fusion::faults::Cause;
@@ -201,7 +201,12 @@ impl Filter {
             Self::Joints(filter) => filter.push(samples, dt_s).clone(),
             Self::Euler(body) => {
                 let orientations = *body.push(samples, dt_s);
-                BodyEstimate { orientations, angles_rad: angles(&orientations), ..BodyEstimate::default() }
+                BodyEstimate {
+                    orientations,
+                    posture: completed(&orientations),
+                    angles_rad: angles(&orientations),
+                    ..BodyEstimate::default()
+                }
             }
         }
     }
@@ -323,36 +328,45 @@ fn write(
         Some(format) => {
             let mut animation = Animation::new(*skeleton);
             for (t_s, estimate) in estimates {
-                animation.push(*t_s, estimate.completed(), estimate.pelvis_m(skeleton));
+                animation.push(*t_s, estimate.posture, estimate.pelvis_m(skeleton));
             }
             animation.write(&args.output, format).map_err(Error::failed)
         }
     }
 }
 
-/// The table of angles: segments that a sensor shows, joints between two of them, and where the feet have brought the hips if that is ever known.
+/// The table of angles: segments that a sensor shows, or that lie between two of these and are inferred, the joints beside them, and where the feet have
+/// brought the hips if that is ever known.
 fn table(
     args: &Solve,
     present: &[bool; SEGMENTS],
     estimates: &[(f64, BodyEstimate)],
 ) -> Result<(), TableError> {
-    let segments: Vec<BodySegment> = BodySegment::ALL.into_iter().filter(|s| present[s.index()]).collect();
-    let angles: Vec<usize> = segments
-        .iter()
-        .filter(|segment| segment.parent().is_some_and(|parent| present[parent.index()]))
-        .flat_map(|segment| of_joint(*segment))
-        .collect();
+    // The published limbs say nothing of uncertainty, and infer nothing.
+    let is_judged = args.limbs == Limbs::Joints;
+    let between = joints_between(present);
+    let joints = BodySegment::ALL.into_iter().filter_map(|segment| {
+        let worn = present[segment.index()] && present[segment.parent()?.index()];
+        (worn || (is_judged && between[segment.index()])).then_some(segment)
+    });
+    let joints: Vec<BodySegment> = joints.collect();
+    let beside = |of: BodySegment| joints.iter().any(|joint| *joint == of || joint.parent() == Some(of));
+    let segments: Vec<BodySegment> =
+        BodySegment::ALL.into_iter().filter(|s| present[s.index()] || beside(*s)).collect();
+    let angles: Vec<usize> = joints.iter().flat_map(|segment| of_joint(*segment)).collect();
     let mut columns = vec!["t".to_owned()];
     for segment in &segments {
         columns.extend(["qw", "qx", "qy", "qz"].map(|part| format!("{}_{part}", segment.name())));
+        columns.extend((!present[segment.index()]).then(|| format!("{}_inferred_sigma_deg", segment.name())));
     }
-    // The published limbs say nothing of it.
-    let is_judged = args.limbs == Limbs::Joints;
     for angle in &angles {
         let name = ANGLE_NAMES[*angle];
         columns.push(format!("{name}_deg"));
         columns.extend(is_judged.then(|| format!("{name}_sigma_deg")));
     }
+    let inner = |posture| inner_angles(posture, present).filter(|_| args.whole);
+    let upright = BodyEstimate::default().posture;
+    columns.extend(inner(&upright).map(|(joint, angle, _)| format!("{joint}_{angle}_deg")));
     columns.extend(is_judged.then(|| "heading_sigma_deg".to_owned()));
     let soles = [("r", BodySegment::FootR), ("l", BodySegment::FootL)]
         .map(|(side, foot)| (side, present[foot.index()]));
@@ -368,8 +382,14 @@ fn table(
     let mut table = TableWriter::create(&args.output, &columns)?;
     for (t_s, estimate) in estimates {
         table.number(*t_s)?;
-        for segment in &segments {
-            table.vector(estimate.orientations[segment.index()].as_ref().map(orientation_to_wxyz))?;
+        let is_known = estimate.orientations.iter().any(Option::is_some);
+        for index in segments.iter().map(|segment| segment.index()) {
+            if present[index] {
+                table.vector(estimate.orientations[index].as_ref().map(orientation_to_wxyz))?;
+            } else {
+                table.vector(is_known.then(|| orientation_to_wxyz(&estimate.posture[index])))?;
+                table.vector(is_known.then(|| [estimate.sigma_rad[index].to_degrees()]))?;
+            }
         }
         for angle in &angles {
             let value = estimate.angles_rad[*angle];
@@ -377,6 +397,9 @@ fn table(
             if is_judged {
                 table.vector(value.map(|_| [estimate.spread.sigma_rad[*angle].to_degrees()]))?;
             }
+        }
+        for (_, _, angle) in inner(&estimate.posture) {
+            table.vector(angle.filter(|_| is_known).map(|angle| [angle.to_degrees()]))?;
         }
         if is_judged {
             let is_known = estimate.heading != Heading::Unknown;

@@ -68,6 +68,9 @@ struct Solve {
     /// arm or a leg points sideways.
     #[arg(long, value_enum, default_value = "joints")]
     limbs: Limbs,
+    /// Also the angles of the joints of 23 segments that no sensor shows by itself: within the spine, neck and foot (`l5s1_flexion_deg`, `ball_r_flexion_deg`, ...).
+    #[arg(long)]
+    whole: bool,
     /// Print one JSON object: epochs, and how well axes and mountings show.
     #[arg(long)]
     json: bool,

@@ -95,7 +95,7 @@ impl BodyFilter {
             let parent = segment.parent().filter(|_| BodySegment::EXTREMITIES.contains(&segment))?;
             self.estimate.orientations[parent.index()]
         })?;
-        let mut all = self.estimate.completed();
+        let mut all = self.estimate.posture;
         all[segment.index()] = q;
         let origins_m = self.skeleton.origins_m(&all, Vector3::zeros());
         let from_hips_m = origins_m[segment.index()] + q * anchor.offset_m;

@@ -406,7 +406,8 @@ fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<B
     // Without a field every sensor needs a movement of its own.
     let full = how == Thoroughness::Full || !magnetic;
     let mut moved = limbs.into_iter().filter(|moved| has(*moved) && full).peekable();
-    if with_arms && moved.peek().is_some() {
+    let bends = moved.peek().is_some();
+    if with_arms && bends {
         // Arms that are lowered must not be taken for the first movement.
         steps.push(BlockKind::NPose);
     }
@@ -422,7 +423,7 @@ fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<B
         }
         // The headings begin anew from a posture that looks straight ahead.
         steps.push(BlockKind::NPose);
-    } else if !with_arms && !full {
+    } else if !with_arms && !bends {
         // Something must show which way the body faces.
         let leg = [
             BodySegment::ShankR,

@@ -10,7 +10,7 @@ impl BodyFilter {
     /// What the feet say of one time; `None` unless the sensors on pelvis and both legs show it.
     pub(super) fn legs(&mut self, samples: &BodySamples) -> Option<Legs> {
         let pelvis = self.shows(BodySegment::Pelvis)?;
-        let all = self.estimate.completed();
+        let all = self.estimate.posture;
         let q_room_pelvis = all[BodySegment::Pelvis.index()];
         let specific_force_m_s2 = measured(samples, BodySegment::Pelvis)
             .map(|sample| q_room_pelvis * (pelvis.mount.q_segment_sensor * sample.accel_m_s2));

@@ -1,7 +1,7 @@
 //! One limb of a body: begins an arm's or a leg's filter from its sensors' own orientations, and drives it.
 //!
 //! In: the trunk's motion, both sensors' samples and own orientations. Out: upper and lower segment to trunk. A limb
-//! of which no sensor is worn stays unknown; one with a single sensor shows the segments down to that sensor.
+//! without two sensors it leaves alone: one sensor shows no joint.
 
 use nalgebra::{SVector, UnitQuaternion, Vector3};
 use posed_state::Plain;
@@ -102,8 +102,8 @@ pub(super) struct LimbFilter {
     limb: Limb,
     geometry: LimbGeometry,
     noise: LimbNoise,
-    /// Whether upper and lower segment wear a sensor.
-    mounted: [bool; 2],
+    /// Whether upper and lower segment wear a sensor, both.
+    whole: bool,
     /// Bias of both gyros that a rest has proven, rad/s: more than the filter takes for possible.
     offsets_rad_s: [Vector3<f64>; 2],
     /// For so long both of its sensors have said otherwise, s.
@@ -125,7 +125,7 @@ impl LimbFilter {
             limb,
             geometry: LimbGeometry::of(limb, skeleton, mounts),
             noise: params.limb,
-            mounted: [upper, lower].map(|segment| mounts[segment.index()].is_some()),
+            whole: [upper, lower].iter().all(|segment| mounts[segment.index()].is_some()),
             offsets_rad_s: [Vector3::zeros(); 2],
             astray_s: 0.0,
             loose_s: [0.0; 2],
@@ -230,14 +230,9 @@ impl LimbFilter {
         })
     }
 
-    /// Begins as soon as every worn sensor has an orientation.
+    /// Begins as soon as both sensors have an orientation.
     fn begin(&mut self, base: &Base, own: [Option<UnitQuaternion<f64>>; 2]) {
-        let known = self.mounted.iter().zip(&own).all(|(mounted, own)| !mounted || own.is_some());
-        if !known || self.mounted == [false, false] {
-            return;
-        }
-        let Some(upper) = own[0].or(own[1]) else { return };
-        let lower = own[1].unwrap_or(upper);
+        let [Some(upper), Some(lower)] = own else { return };
         let [_, _, segment] = self.limb.segments();
         let rotation = upper.inverse() * lower;
         let q = base.q_room_base.inverse() * upper;
@@ -255,10 +250,14 @@ impl LimbFilter {
         };
     }
 
-    /// Upper and lower segment to trunk; `None` where no sensor shows it.
+    /// Whether both of its segments wear a sensor.
+    pub(super) fn is_whole(&self) -> bool {
+        self.whole
+    }
+
+    /// Upper and lower segment to trunk; `None` before it has begun.
     pub(super) fn orientations(&self) -> [Option<UnitQuaternion<f64>>; 2] {
-        let [upper, lower] = with_limb!(&self.filter, return [None; 2], limb => limb.orientations());
-        [Some(upper), self.mounted[1].then_some(lower)]
+        with_limb!(&self.filter, [None; 2], limb => limb.orientations().map(Some))
     }
 
     /// How uncertain it is; `None` before it has begun.

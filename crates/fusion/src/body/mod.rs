@@ -2,12 +2,13 @@
 //!
 //! In: samples of the worn IMUs at one time, with the time since the ones before; how each sits on its segment
 //! ([`SensorMount`]). Out: a [`BodyEstimate`]: segment orientations, joint angles, their uncertainty, and the health of every
-//! sensor with the reason. It never invents a segment that no sensor shows, never stops the rest of the body because one
+//! sensor with the reason. What wears no sensor it infers, and keeps it apart from what sensors show. It never stops the rest of the body because one
 //! sensor fails, and never allocates per sample.
 //!
 //! ```text
 //! torso, pelvis:  sensor ──> ahrs ────────────────────────────> segment orientation, and the base of its limbs
 //! extremities:    sensor ──> ahrs ────────────────────────────> segment orientation
+//! half a limb:    sensor ──> ahrs ────────────────────────────> segment orientation
 //! limbs:          sensor ──> ahrs ── heading only ──┐
 //!                 sensor ── gyro, accelerometer ────┴> limb ──> joint angles ──> segment orientations
 //! ```
@@ -23,10 +24,13 @@ mod angles;
 mod assign;
 mod block;
 mod calibrate;
+#[cfg(test)]
+mod few_tests;
 mod guide;
 #[cfg(test)]
 mod guide_tests;
 mod health;
+mod infer;
 mod inverse;
 #[cfg(test)]
 mod learnt_tests;
@@ -54,20 +58,22 @@ pub use assign::{AssignError, Assignment, assign};
 pub use block::{Block, BlockKind, Movement, Recorded};
 pub use calibrate::{Calibrated, CalibrationError, Contradiction, REPEAT_DEG, calibrate};
 pub use guide::{Guide, Thoroughness};
+pub use infer::{completed, joints_between};
 pub use inverse::{Figure, Follower, Tracked};
 pub use limbs::{elbow, knee};
 pub use places::{Misplaced, Places, Trackers};
 pub use posture::orientations;
-pub use skeleton::{BodySegment, Limb, SEGMENTS, Skeleton, completed, upright};
+pub use skeleton::{BodySegment, Limb, SEGMENTS, Skeleton, upright};
 pub use spread::{AngleSpread, independent};
 pub use taps::DoubleTap;
 pub use travel::{FootContact, Travel};
-pub use whole::{WHOLE, WholeSegment, t_pose, whole, whole_t_pose};
+pub use whole::{WHOLE, WholeSegment, inner_angles, t_pose, whole, whole_t_pose};
 
 use super::ahrs::{Ahrs, CALIBRATED_HEADING_RAD, CALIBRATED_TILT_RAD, ImuSample, Params};
 use super::faults::Cause;
 use super::limb::{Base, LimbNoise};
 use health::Watch;
+use infer::Inference;
 use limbs::LimbFilter;
 use posed_geometry::GRAVITY_M_S2;
 use travel::TravelFilter;
@@ -177,10 +183,13 @@ pub enum Heading {
 pub struct BodyEstimate {
     /// Segment to room; `None` where no sensor shows it.
     pub orientations: [Option<UnitQuaternion<f64>>; SEGMENTS],
-    /// Root mean square of its expected error about an axis, rad; of limbs, relative to the trunk. Filter and systematic
-    /// errors of calibrated sensors; soft tissue is not in it. Pi where nothing is known.
+    /// The same of all segments; what no sensor shows is as [`completed`] infers it.
+    pub posture: [UnitQuaternion<f64>; SEGMENTS],
+    /// Root mean square of its expected error about an axis, rad; of limbs with two sensors, relative to the trunk. Filter and systematic
+    /// errors of calibrated sensors; soft tissue is not in it. Of an inferred segment how far people depart from what is inferred. Pi where nothing is known.
     pub sigma_rad: [f64; SEGMENTS],
-    /// Angles in the order of [`ANGLE_NAMES`], rad; `None` where a segment beside the joint is not known.
+    /// Angles in the order of [`ANGLE_NAMES`], rad; `None` for a joint that does not lie between two known segments. Beside an inferred segment they are as good as
+    /// the spread says.
     pub angles_rad: [Option<f64>; ANGLES],
     /// How uncertain the angles are.
     pub spread: AngleSpread,
@@ -199,6 +208,7 @@ impl Default for BodyEstimate {
     fn default() -> Self {
         Self {
             orientations: [None; SEGMENTS],
+            posture: [upright(); SEGMENTS],
             sigma_rad: [std::f64::consts::PI; SEGMENTS],
             angles_rad: [None; ANGLES],
             spread: AngleSpread::default(),
@@ -214,12 +224,7 @@ impl BodyEstimate {
     /// The hips' mid-point in the room, m: where the feet have brought it, else above the room's origin with the lower ankle at its height over
     /// the floor.
     pub fn pelvis_m(&self, skeleton: &Skeleton) -> Vector3<f64> {
-        self.travel.map_or_else(|| skeleton.standing_m(&self.completed()), |travel| travel.pelvis_m)
-    }
-
-    /// Orientations of all segments, as [`completed`] has them.
-    pub fn completed(&self) -> [UnitQuaternion<f64>; SEGMENTS] {
-        completed(&self.orientations)
+        self.travel.map_or_else(|| skeleton.standing_m(&self.posture), |travel| travel.pelvis_m)
     }
 }
 
@@ -316,6 +321,9 @@ impl BodyFilter {
         let mut all = [None; SEGMENTS];
         for (limb, filter) in Limb::ALL.into_iter().zip(&self.limbs) {
             let [_, upper, lower] = limb.segments();
+            if !filter.is_whole() {
+                continue;
+            }
             let shank_m = match limb {
                 Limb::LegR => Some(self.travel.shanks_m()[0]),
                 Limb::LegL => Some(self.travel.shanks_m()[1]),
@@ -484,6 +492,14 @@ impl BodyFilter {
             let q_room_base = bases[trunk.index()].q_room_base;
             let relative = filter.orientations();
             for (k, segment) in [upper, lower].into_iter().enumerate() {
+                if !filter.is_whole() {
+                    // By its own sensor alone, if any.
+                    out.orientations[segment.index()] = own[segment.index()];
+                    if let Some(sensor) = &self.sensors[segment.index()] {
+                        out.sigma_rad[segment.index()] = sensor.systematic_rad(self.held_s);
+                    }
+                    continue;
+                }
                 out.orientations[segment.index()] = relative[k].map(|q| q_room_base * q);
                 // The filter knows of noise and of its own mountings alone; the other errors of both sensors last.
                 let sensors = [trunk, segment].map(|s| self.sensors[s.index()].as_ref());
@@ -493,9 +509,14 @@ impl BodyFilter {
                 out.sigma_rad[segment.index()] = libm::hypot(libm::hypot(limb_rad, trunk), own);
             }
         }
-        out.angles_rad = angles(&out.orientations);
-        let orientations = out.orientations;
-        self.estimate.spread = self.spread(&orientations, &spreads);
+        let inferred = Inference::of(&out.orientations);
+        out.posture = inferred.orientations;
+        inferred.judge(&out.orientations, &mut out.sigma_rad);
+        // A sensor that is silent yet is no reason to infer an angle.
+        let silent = self.sensors.each_ref().map(Option::is_some);
+        let shown = inferred.between(&out.orientations, &silent);
+        out.angles_rad = angles(&shown);
+        self.estimate.spread = self.spread(&shown, &inferred.joints_rad2, &spreads);
         let out = &mut self.estimate;
         for segment in BodySegment::ALL {
             let index = segment.index();

@@ -345,20 +345,6 @@ impl Skeleton {
     ];
 }
 
-/// Orientations, segment to room, with the missing ones as straight continuations of their parents (the pelvis of the torso); [`upright`] where nothing is
-/// known. By [`BodySegment::index`].
-pub fn completed(known: &[Option<UnitQuaternion<f64>>; SEGMENTS]) -> [UnitQuaternion<f64>; SEGMENTS] {
-    let known = |segment: BodySegment| known[segment.index()];
-    let mut all = [upright(); SEGMENTS];
-    for segment in Skeleton::PARENTS_FIRST {
-        all[segment.index()] = known(segment).unwrap_or_else(|| match segment.parent() {
-            Some(parent) => all[parent.index()],
-            None => known(BodySegment::Torso).unwrap_or_else(upright),
-        });
-    }
-    all
-}
-
 /// Segment to room in the N-pose of a body that looks along the room's x: x forward, y up, z right.
 pub fn upright() -> UnitQuaternion<f64> {
     let half = std::f64::consts::FRAC_1_SQRT_2;

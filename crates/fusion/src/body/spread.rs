@@ -83,16 +83,17 @@ impl AngleSpread {
 }
 
 impl BodyFilter {
-    /// How uncertain the angles between these segments (to room) are: what the filters say of the joint's rotation, and what
-    /// both sensors are systematically wrong by. Elbows and knees hold the headings of their segments together, so that
+    /// How uncertain the angles between these segments (to room) are: what the filters say of the joint's rotation, or what is said of it where a segment was
+    /// `inferred`, rad², and what both sensors are systematically wrong by. Elbows and knees hold the headings of their segments together, so that
     /// magnetometers do not count there.
     pub(super) fn spread(
         &self,
         orientations: &[Option<UnitQuaternion<f64>>; SEGMENTS],
+        inferred_rad2: &[Matrix3<f64>; SEGMENTS],
         limbs: &[Option<LimbSpread>; 4],
     ) -> AngleSpread {
         let mut spread = AngleSpread::default();
-        let mut rotations_rad2 = [Matrix3::zeros(); SEGMENTS];
+        let mut rotations_rad2 = *inferred_rad2;
         for (limb, spread) in Limb::ALL.into_iter().zip(limbs) {
             let [_, upper, lower] = limb.segments().map(BodySegment::index);
             if let Some(LimbSpread { rotations_rad2: of, .. }) = spread {
@@ -104,8 +105,11 @@ impl BodyFilter {
             let (Some(above), Some(q)) = (orientations[parent.index()], orientations[segment.index()]) else {
                 continue;
             };
-            let limb =
-                Limb::ALL.into_iter().map(|limb| limb.segments()).find(|of| of[1..].contains(&segment));
+            let limb = Limb::ALL
+                .into_iter()
+                .zip(limbs)
+                .filter_map(|(limb, spread)| spread.is_some().then(|| limb.segments()))
+                .find(|of| of[1..].contains(&segment));
             let hinged = limb.is_some_and(|[.., lower]| lower == segment);
             let shaken = if segment == BodySegment::Torso { TRUNK_RAD2 } else { LIMB_RAD2 };
             let up = q.inverse() * Vector3::z();

@@ -10,6 +10,7 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
+use super::angles::joint_angles;
 use super::calibrate::posture;
 use super::skeleton::{BodySegment, SEGMENTS, Skeleton, upright};
 use posed_geometry::so3::{exp, log};
@@ -287,6 +288,41 @@ pub fn whole(orientations: &[UnitQuaternion<f64>; SEGMENTS]) -> [UnitQuaternion<
     all
 }
 
+/// The joints of the 23 that lie within a segment which can wear a sensor, or between two such: their names, the segment below, and the two that they follow from.
+const INNER: [(&str, WholeSegment, [BodySegment; 2]); 8] = [
+    ("l5s1", W::L5, [BodySegment::Pelvis, BodySegment::Torso]),
+    ("l4l3", W::L3, [BodySegment::Pelvis, BodySegment::Torso]),
+    ("l1t12", W::T12, [BodySegment::Pelvis, BodySegment::Torso]),
+    ("t9t8", W::T8, [BodySegment::Pelvis, BodySegment::Torso]),
+    ("t1c7", W::Neck, [BodySegment::Torso, BodySegment::Head]),
+    ("c1head", W::Head, [BodySegment::Torso, BodySegment::Head]),
+    ("ball_r", W::ToeR, [BodySegment::FootR; 2]),
+    ("ball_l", W::ToeL, [BodySegment::FootL; 2]),
+];
+
+/// Angles of the joints of the 23 which no sensor shows by itself: of the spine's, flexion, lateral and rotation as those of `spine`; of the ball of a foot its
+/// flexion, positive where the toes bend up. Names and angles, rad; `None` where a segment that it follows from is not `shown`, by [`BodySegment::index`].
+/// The joint of a shoulder's girdle does not move here, and has none; all other joints are those of [`super::angles`].
+pub fn inner_angles(
+    orientations: &[UnitQuaternion<f64>; SEGMENTS],
+    shown: &[bool; SEGMENTS],
+) -> impl Iterator<Item = (&'static str, &'static str, Option<f64>)> + use<> {
+    let all = whole(orientations);
+    let shown = *shown;
+    INNER.into_iter().flat_map(move |(joint, segment, from)| {
+        let above = segment.parent().map_or(0, WholeSegment::index);
+        let rotation = all[above].inverse() * all[segment.index()];
+        let known = from.iter().all(|from| shown[from.index()]);
+        let [flexion, lateral, turn, ..] = joint_angles(BodySegment::Torso, &rotation);
+        let ball = segment.side() != 0.0;
+        // The toes bend about z, upwards.
+        let of =
+            [("flexion", if ball { -flexion } else { flexion }), ("lateral", lateral), ("rotation", turn)];
+        let count = if ball { 1 } else { 3 };
+        of.into_iter().take(count).map(move |(angle, value)| (joint, angle, known.then_some(value)))
+    })
+}
+
 /// Toes of a foot that rolls over its ball stay level; of any other they go with it.
 fn toes(foot: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
     // Toes bend upwards by 60 degrees at most, and not downwards.
@@ -360,6 +396,31 @@ mod tests {
             (between(W::T8, W::Neck) - 0.3).abs() < 1e-9 && (between(W::Neck, W::Head) - 0.3).abs() < 1e-9
         );
         assert!((BEND.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_spine_s_angles_make_up_its_bend_and_the_ball_s_is_the_heel_s_rise() {
+        let bent = body(&[
+            (BodySegment::Torso, [1.0, 0.0, 0.0]),
+            (BodySegment::Head, [0.0, 0.0, 0.6]),
+            (BodySegment::FootL, [-0.5, 0.0, 0.0]),
+        ]);
+        let mut shown = [true; SEGMENTS];
+        let sum = |of: &[&str], angle: &str, shown: &[bool; SEGMENTS]| -> Option<f64> {
+            let all = inner_angles(&bent, shown);
+            all.filter(|(joint, of_it, _)| of.contains(joint) && *of_it == angle)
+                .map(|(.., value)| value)
+                .sum()
+        };
+        let spine = ["l5s1", "l4l3", "l1t12", "t9t8"];
+        assert!((sum(&spine, "flexion", &shown).unwrap() - 1.0).abs() < 1e-9);
+        assert!((sum(&["l5s1"], "flexion", &shown).unwrap() - BEND[0]).abs() < 1e-9);
+        assert!((sum(&["t1c7", "c1head"], "rotation", &shown).unwrap() - 0.6).abs() < 1e-9);
+        assert!((sum(&["ball_l"], "flexion", &shown).unwrap() - 0.5).abs() < 1e-9);
+        assert!(sum(&["ball_r"], "flexion", &shown).unwrap().abs() < 1e-9);
+        shown[BodySegment::Pelvis.index()] = false;
+        assert_eq!(sum(&spine, "flexion", &shown), None);
+        assert_eq!(inner_angles(&bent, &shown).count(), 20);
     }
 
     #[test]

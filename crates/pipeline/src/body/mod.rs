@@ -33,8 +33,6 @@ const TRACKED_RAD: f64 = 0.05;
 const BETWEEN_RAD: f64 = 0.15;
 /// A tracker whose rotation is no better known measures none, rad.
 const UNTURNED_RAD: f64 = 0.5;
-/// And how far heads, hands and feet depart from what they hang on, that is known, rad.
-const HANGS_RAD: f64 = 0.35;
 
 #[derive(Clone, Debug, State)]
 pub(super) struct BodyStage {
@@ -342,7 +340,7 @@ impl BodyStage {
         }));
         let anchored = filter.anchor(&self.anchors);
         let (found, learnt, skeleton) = (filter.estimate(), filter.learnt(), filter.skeleton());
-        let all = found.completed();
+        let all = found.posture;
         let from_hips = skeleton.origins_m(&all, Vector3::zeros());
         if let Some((pelvis_m, _)) = anchored {
             self.pelvis_m = Some(pelvis_m);
@@ -371,17 +369,8 @@ impl BodyStage {
         self.out.spread = found.spread;
         for (segment, out) in BodySegment::ALL.into_iter().zip(&mut self.out.segments) {
             let index = segment.index();
-            // A head, a hand or a foot without a sensor hangs straight.
-            let hangs_on = segment.parent().map(BodySegment::index).filter(|parent| {
-                BodySegment::EXTREMITIES.contains(&segment)
-                    && self.wearing[index].is_none()
-                    && found.orientations[*parent].is_some()
-            });
-            let shown = found.orientations[index].or(hangs_on.map(|_| all[index]));
-            let sigma_rad = match hangs_on {
-                Some(parent) => libm::hypot(found.sigma_rad[parent], HANGS_RAD),
-                None => found.sigma_rad[index],
-            };
+            let inferred = is_inferred(segment, &self.wearing, &found.orientations);
+            let shown = found.orientations[index].or(inferred.then_some(all[index]));
             let fault = found.faults[index];
             let state = match (shown, fault) {
                 (None, _) => SegmentState::Missing,
@@ -395,7 +384,7 @@ impl BodyStage {
                 sensor: self.wearing[index],
                 position_m: shown.map(|_| (pelvis_m + from_hips[index]).into()),
                 orientation_wxyz: shown.as_ref().map(orientation_to_wxyz),
-                sigma_rad,
+                sigma_rad: found.sigma_rad[index],
                 learnt: learnt[index],
             };
         }
@@ -447,6 +436,18 @@ impl Solver {
         }
         Self::Imus(Box::new(filter))
     }
+}
+
+/// Whether a segment without a sensor follows from what is known: a limb of which no segment wears one does not.
+fn is_inferred(
+    segment: BodySegment,
+    wearing: &[Option<SensorIndex>; SEGMENTS],
+    known: &[Option<UnitQuaternion<f64>>; SEGMENTS],
+) -> bool {
+    let worn = |segment: &BodySegment| wearing[segment.index()].is_some();
+    let mut limbs = [BodySegment::ARMS, BodySegment::LEGS].into_iter().filter(|limb| limb.contains(&segment));
+    let hangs = limbs.all(|limb| limb.iter().any(|of| of.side() == segment.side() && worn(of)));
+    !worn(&segment) && hangs && known.iter().any(Option::is_some)
 }
 
 /// The sensor of each segment that is asked first: an IMU, else a tracker.
