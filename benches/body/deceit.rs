@@ -5,15 +5,18 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_fusion::ahrs::ImuSample;
 use posed_fusion::body::{
-    Assignment, BodySegment, CalibrationError, Guide, Recorded, SEGMENTS, Skeleton, Thoroughness, assign,
-    calibrate,
+    Assignment, BodyFilter, BodyParams, BodySamples, BodySegment, CalibrationError, Guide, Recorded,
+    SEGMENTS, SensorMount, Skeleton, Thoroughness, assign, calibrate,
 };
-use posed_simulator::body::{Activity, Build, Mistake, Script, SensorErrors, Wearer, WearerSpec};
+use posed_fusion::faults::Cause;
+use posed_simulator::body::{Activity, Build, Mistake, Sample, Script, SensorErrors, Wearer, WearerSpec};
 
 use super::{HEIGHT_M, emit, outcomes};
 
 const RATE_HZ: f64 = 50.0;
 const SEEDS: u64 = 6;
+/// So long whoever was calibrated walks about, s.
+const WALKS_S: f64 = 40.0;
 /// Nobody goes on for longer, s.
 const LONGEST_S: f64 = 240.0;
 /// A mounting that is wrong by more is wrong: what people who stand as people do leave stays below, degrees.
@@ -87,6 +90,10 @@ enum Ended {
     Noticed,
     /// Nothing was said, and what is used is right all the same.
     Right,
+    /// Walking showed it, and what is used from then on is right.
+    Healed,
+    /// Walking showed that something does not fit, and what.
+    Named,
     /// Nothing was said, and what is used is wrong by so much, degrees.
     Wrong(f64),
     /// It was warned, did another thing than it was asked for then, and in the end something wrong is used all the same, degrees: who is asked for the right knee, and goes
@@ -96,7 +103,7 @@ enum Ended {
 
 fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool, seed: u64) -> Ended {
     let mistake = if let Deceit::Held(mistake) = deceit { Some(mistake) } else { None };
-    let mut wearer = Wearer::new(WearerSpec {
+    let worn_by = |activity: Activity, mistake: Option<Mistake>| WearerSpec {
         script: Script { activity, calibration: false, facing: 0.6, mistake },
         build: Build::of_height(HEIGHT_M),
         errors: SensorErrors::calibrated(),
@@ -105,7 +112,8 @@ fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool
         rate_hz: RATE_HZ,
         clumsiness_rad: 0.03,
         seed,
-    });
+    };
+    let mut wearer = Wearer::new(worn_by(activity, mistake));
     if deceit == Deceit::RaisedFirst {
         // Seven seconds into the round the second pose is held.
         (0..(7.0 * RATE_HZ) as usize).for_each(|_| _ = wearer.step());
@@ -116,24 +124,17 @@ fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool
     for step in 0..(LONGEST_S * RATE_HZ) as usize {
         let t_s = step as f64 / RATE_HZ;
         let (samples, _) = wearer.step();
-        let mut samples = BodySegment::ALL.map(|segment| {
-            let sample = samples[segment.index()];
+        let mut samples = imus(&samples);
+        for (segment, sample) in BodySegment::ALL.into_iter().zip(&mut samples) {
             let off = match deceit {
                 Deceit::Off(segments) => segments.contains(&segment) && t_s < 30.0,
                 Deceit::Dies(dying) => segment == dying && (12.0..30.0).contains(&t_s),
                 _ => false,
             };
-            let sample = ImuSample {
-                gyro_rad_s: sample.gyro_rad_s,
-                accel_m_s2: sample.accel_m_s2,
-                mag: sample.mag_ut,
-            };
-            (!off).then_some(sample)
-        });
+            *sample = sample.filter(|_| !off);
+        }
+        exchange(deceit, &mut samples);
         match deceit {
-            Deceit::Swapped(pairs) => {
-                pairs.iter().for_each(|[one, other]| samples.swap(one.index(), other.index()));
-            }
             Deceit::Gripped(segment) => {
                 gripped |= guide.progress().0 >= 1;
                 if let Some(sample) = samples[segment.index()].as_mut().filter(|_| gripped) {
@@ -156,25 +157,56 @@ fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool
         return if warned { Ended::Noticed } else { Ended::Wrong(f64::INFINITY) };
     }
     let Ok((mounts, places)) = solved(&guide, how) else { return Ended::Noticed };
-    let worst_deg = BodySegment::ALL.into_iter().fold(0.0, |worst: f64, segment| {
-        // The sensor that counts on this segment now, by the segment that it really sits on.
-        let worn = place_of(deceit, places[segment.index()]);
-        if worn != segment {
-            return 180.0;
+    let grip_of = |segment: BodySegment| match deceit {
+        Deceit::Gripped(turned) if turned == segment => grip(),
+        _ => UnitQuaternion::identity(),
+    };
+    // By the segments, and from which the sensor that counts there is taken.
+    let worst_deg = |mounts: &Mounts, places: &[BodySegment; SEGMENTS]| {
+        BodySegment::ALL.into_iter().fold(0.0, |worst: f64, segment| {
+            let worn = place_of(deceit, places[segment.index()]);
+            let Some(mount) = mounts[segment.index()].filter(|_| worn == segment) else { return 180.0 };
+            let truth = wearer.mounting(segment.index()).0 * grip_of(segment).inverse();
+            worst.max(mount.q_segment_sensor.angle_to(&truth).to_degrees())
+        })
+    };
+    let off_deg = worst_deg(&mounts, &places);
+    if off_deg > WRONG_DEG {
+        // Whoever was calibrated wrongly moves on.
+        let mut walker = Wearer::new(worn_by(Activity::Strolling, None));
+        let mut filter = BodyFilter::new(&Skeleton::from_height(HEIGHT_M), &mounts, &BodyParams::default());
+        let mut named = false;
+        for _ in 0..(WALKS_S * RATE_HZ) as usize {
+            let mut samples = imus(&walker.step().0);
+            exchange(deceit, &mut samples);
+            let samples = places.map(|taken| samples[taken.index()]);
+            let faults = filter.push(&samples, 1.0 / RATE_HZ).faults;
+            named |= faults.iter().any(|fault| matches!(fault, Some(Cause::Misfit | Cause::Swapped)));
         }
-        let Some(mount) = mounts[segment.index()] else { return 180.0 };
-        let grip = match deceit {
-            Deceit::Gripped(turned) if turned == segment => grip(),
-            _ => UnitQuaternion::identity(),
+        let by_sensor = filter.mounts();
+        let sits: Mounts = filter.taken_from().map(|from| by_sensor[from]);
+        let places = filter.taken_from().map(|from| places[from]);
+        return match worst_deg(&sits, &places) {
+            healed_deg if healed_deg < WRONG_DEG => Ended::Healed,
+            _ if named => Ended::Named,
+            _ if warned => Ended::StillWrong(off_deg),
+            _ => Ended::Wrong(off_deg),
         };
-        let truth = wearer.mounting(segment.index()).0 * grip.inverse();
-        worst.max(mount.angle_to(&truth).to_degrees())
-    });
-    match (warned, worst_deg > WRONG_DEG) {
-        (true, false) => Ended::Noticed,
-        (false, false) => Ended::Right,
-        (true, true) => Ended::StillWrong(worst_deg),
-        (false, true) => Ended::Wrong(worst_deg),
+    }
+    if warned { Ended::Noticed } else { Ended::Right }
+}
+
+/// What the sensors send.
+fn imus(samples: &[Sample; SEGMENTS]) -> BodySamples {
+    samples.map(|Sample { gyro_rad_s, accel_m_s2, mag_ut }| {
+        Some(ImuSample { gyro_rad_s, accel_m_s2, mag: mag_ut })
+    })
+}
+
+/// Sensors that are swapped send under one another's names.
+fn exchange(deceit: Deceit, samples: &mut BodySamples) {
+    if let Deceit::Swapped(pairs) = deceit {
+        pairs.iter().for_each(|[one, other]| samples.swap(one.index(), other.index()));
     }
 }
 
@@ -183,7 +215,7 @@ fn grip() -> UnitQuaternion<f64> {
     UnitQuaternion::from_scaled_axis(Vector3::new(0.3, 0.9, 0.3) * GRIP_RAD)
 }
 
-type Mounts = [Option<UnitQuaternion<f64>>; SEGMENTS];
+type Mounts = [Option<SensorMount>; SEGMENTS];
 
 /// The mountings, and for each segment the one that its sensor was taken for.
 fn solved(guide: &Guide, how: Thoroughness) -> Result<(Mounts, [BodySegment; SEGMENTS]), CalibrationError> {
@@ -204,7 +236,7 @@ fn solved(guide: &Guide, how: Thoroughness) -> Result<(Mounts, [BodySegment; SEG
     if !found.warnings.is_empty() {
         return Err(CalibrationError::Empty);
     }
-    Ok((found.mounts.map(|mount| mount.map(|mount| mount.q_segment_sensor)), places))
+    Ok((found.mounts, places))
 }
 
 /// The segment that the sensor which was taken to sit on `taken` really sits on.
@@ -234,8 +266,17 @@ pub(super) fn table() {
                 _ => worst,
             });
             let warned = count(|ended| matches!(ended, Ended::StillWrong(_)));
-            let wrong = SEEDS as usize - noticed - right - warned;
-            let counts = [(noticed, "noticed"), (right, "right"), (warned, "warned, used"), (wrong, "wrong")];
+            let healed = count(|ended| *ended == Ended::Healed);
+            let named = count(|ended| *ended == Ended::Named);
+            let wrong = SEEDS as usize - noticed - right - healed - named - warned;
+            let counts = [
+                (noticed, "noticed"),
+                (right, "right"),
+                (healed, "healed"),
+                (named, "named"),
+                (warned, "warned, used"),
+                (wrong, "wrong"),
+            ];
             outcomes(&counts, (wrong + warned > 0).then_some(worst_deg))
         });
         emit(&format!("| {name} | {} |", cells.join(" | ")));

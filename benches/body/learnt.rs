@@ -50,8 +50,15 @@ pub(super) fn learnt() {
         "\n| calibrated by | activity | upper arm | forearm | thigh | shank | thigh's length, % | upper arm's |",
     );
     emit("|---|---|---|---|---|---|---|---|");
-    for (name, mounting) in [("two poses", Mounting::Posed), ("all of the guide", Mounting::Calibrated)] {
-        for activity in ACTIVITIES {
+    for (name, mounting) in [
+        ("two poses", Mounting::Posed),
+        ("all of the guide", Mounting::Calibrated),
+        ("a walk", Mounting::Walked),
+    ] {
+        let walks = |activity: &Activity| matches!(activity, Activity::Walking | Activity::Strolling);
+        for activity in
+            ACTIVITIES.into_iter().filter(|activity| mounting != Mounting::Walked || walks(activity))
+        {
             let mut squares = [[0.0; 3]; 4];
             let mut lengths = [[0.0; 2]; 2];
             let mut count = 0.0;

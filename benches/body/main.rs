@@ -31,9 +31,10 @@ enum Mounting {
     Perfect,
     /// Wrong by so many degrees in a random direction.
     Wrong(f64),
-    /// By all that the guide asks for, or by its two poses alone.
+    /// By all that the guide asks for, by its two poses alone, or by what follows them and is no pose.
     Calibrated,
     Posed,
+    Walked,
 }
 
 struct Case {
@@ -160,6 +161,13 @@ fn oriented(body: &[Placement; SEGMENTS], room: UnitQuaternion<f64>) -> [UnitQua
 }
 
 fn mounts(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<SensorMount>; SEGMENTS], String> {
+    if case.mounting == Mounting::Walked {
+        let walk = Block { kind: BlockKind::Walk, start_s: run.script.activity_s(), end_s: f64::INFINITY };
+        let begin = run.recording.partition_point(|(t_s, _)| *t_s < walk.start_s);
+        return calibrate(&run.recording[begin..], &[walk], skeleton, &[None; SEGMENTS])
+            .map(|found| found.mounts)
+            .map_err(|error| error.to_string());
+    }
     if matches!(case.mounting, Mounting::Calibrated | Mounting::Posed) {
         let pose = |kind| matches!(kind, BlockKind::NPose | BlockKind::TPose);
         let asked = |block: &&Block| case.mounting == Mounting::Calibrated || pose(block.kind);

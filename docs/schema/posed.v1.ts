@@ -597,7 +597,7 @@ export type Exercises = {
 };
 
 /** Why a measurement, or a sensor, is not simply good. */
-export type FaultCause = "hemisphere_inversion" | "vertical_inversion" | "stuck" | "gate" | "missing" | "not_finite" | "saturated" | "misfit" | "jump" | "bone" | "map" | "distance";
+export type FaultCause = "hemisphere_inversion" | "vertical_inversion" | "stuck" | "gate" | "missing" | "not_finite" | "saturated" | "misfit" | "swapped" | "jump" | "bone" | "map" | "distance";
 
 /** What a measurement, or a frame, is. */
 export type FaultClass = "clean" | "inverted" | "anomalous" | "unknown";
@@ -1751,7 +1751,7 @@ export type Still = {
 };
 
 /** How much is done. */
-export type Thoroughness = "quick" | "full" | "assign";
+export type Thoroughness = "quick" | "full" | "movement" | "assign";
 
 /** A topic; its name is the `type` of its messages. */
 export type Topic = "status" | "sensors" | "body" | "faults" | "keyframes" | "segments" | "exercise" | "field" | "jobs" | "truth" | "session";

@@ -23,8 +23,8 @@ use super::{Error, print, print_json};
     It states what to do next, and notices by itself when it was done. Ctrl-C cancels. A daemon with TLS is calibrated on its page."
 )]
 pub(super) struct Calibrate {
-    /// What is done: two poses; also elbows and knees; or every limb, which also finds which sensor sits where.
-    #[arg(long, value_parser = ["quick", "full", "assign"], default_value = "full")]
+    /// What is done: two poses; also elbows and knees; walking about, without a pose; or every limb, which also finds which sensor sits where.
+    #[arg(long, value_parser = ["quick", "full", "movement", "assign"], default_value = "full")]
     how: String,
     /// Whom, by the name of the body, where the stage has several.
     #[arg(long, value_name = "NAME")]

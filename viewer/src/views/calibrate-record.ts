@@ -18,6 +18,7 @@ export class CalibrateRecordView implements View {
   private readonly recording = el("p", { id: "recording", class: "quiet", role: "status" });
   private readonly how = el("select", { id: "calibrate-how", "aria-label": "How much" },
     el("option", { value: "full" }, "poses, elbows and knees"), el("option", { value: "quick" }, "two poses only"),
+    el("option", { value: "movement" }, "no pose: walk about"),
     el("option", { value: "assign" }, "every limb: find which sensor sits where"));
   private readonly calibrate = el("button", { id: "calibrate", class: "primary" }, "Calibrate the body");
   private readonly ahead = el("button", { id: "heading-reset", title: "Stand upright and look along the room's x" }, "I look ahead: headings begin anew");

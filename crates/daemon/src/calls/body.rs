@@ -179,6 +179,9 @@ impl Session {
             .collect();
         match (elsewhere.is_empty(), self.how) {
             (false, _) => format!("; {}: the stage file has another segment", elsewhere.join(", ")),
+            (true, Thoroughness::Movement) => {
+                "; to some degrees as yet, as `learnt` of the body says: it gets better as you move".into()
+            }
             (true, Thoroughness::Assign) => "; every sensor sits where the stage file has it".into(),
             (true, Thoroughness::Quick) => {
                 "; which sensor sits where was taken from the stage file, as two poses do not show it".into()

@@ -378,6 +378,9 @@ fn emitted(fault: Cause) -> &'static str {
         Cause::Misfit => {
             "does not move as its segment can: its strap has slipped (a limb that was calibrated shows by its movements how it sits now), or it is swapped with another"
         }
+        Cause::Swapped => {
+            "sits here, as movements have shown, and counts here: not where the stage file has it; put that right, or calibrate every limb"
+        }
         other => other.words(),
     }
 }

@@ -199,7 +199,7 @@ fn share(segment: BodySegment, kind: BlockKind) -> Option<f64> {
         std::iter::successors(segment.parent(), |of| of.parent()).any(|parent| parent == above)
     };
     match kind {
-        BlockKind::NPose | BlockKind::TPose => None,
+        BlockKind::NPose | BlockKind::TPose | BlockKind::Walk => None,
         BlockKind::Bow if matches!(segment, BodySegment::Torso | BodySegment::Pelvis) => Some(1.0),
         BlockKind::TrunkRotation if segment == BodySegment::Torso => Some(1.0),
         BlockKind::TrunkRotation if segment == BodySegment::Pelvis => Some(0.0),

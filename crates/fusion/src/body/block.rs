@@ -18,6 +18,8 @@ pub enum BlockKind {
     Bow,
     /// The torso turns to the left and back over a pelvis that stands still.
     TrunkRotation,
+    /// Walks about, with arms that swing: nothing is held.
+    Walk,
     /// One joint moves in one way from the N-pose, the positive way first.
     Move(BodySegment, Movement),
 }
@@ -42,6 +44,7 @@ impl BlockKind {
             "n_pose" => return Some(Self::NPose),
             "t_pose" => return Some(Self::TPose),
             "bow" => return Some(Self::Bow),
+            "walk" => return Some(Self::Walk),
             "trunk_rotation" => return Some(Self::TrunkRotation),
             "neck_flexion" => return Some(Self::Move(BodySegment::Head, Movement::Flexion)),
             _ => {}
@@ -77,6 +80,7 @@ impl BlockKind {
             Self::NPose => return "n_pose".into(),
             Self::TPose => return "t_pose".into(),
             Self::Bow => return "bow".into(),
+            Self::Walk => return "walk".into(),
             Self::TrunkRotation => return "trunk_rotation".into(),
             Self::Move(BodySegment::Head, _) => return "neck_flexion".into(),
             Self::Move(segment, movement) => (segment, movement),

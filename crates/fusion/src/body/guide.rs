@@ -34,6 +34,8 @@ const MOVES_RAD_S: f64 = 0.5;
 const SMOOTH_S: f64 = 0.15;
 /// Rest that ends a movement, s; a reversal is shorter.
 const REST_S: f64 = 1.0;
+/// So long somebody has to walk about, s.
+const WALK_S: f64 = 20.0;
 /// Shortest movement, s.
 const MOVEMENT_S: f64 = 1.5;
 /// What belongs to a movement before it was noticed, s.
@@ -57,6 +59,8 @@ pub enum Thoroughness {
     /// Poses, and the bending of elbows and knees.
     #[default]
     Full,
+    /// Walking about, without a pose: good to some degrees at first, and better as limbs move.
+    Movement,
     /// A movement of every segment: shows also which sensor sits on which segment.
     Assign,
 }
@@ -85,11 +89,14 @@ pub struct Guide {
     specific_forces_m_s2: [Vector3<f64>; SEGMENTS],
     /// Directions of the specific force while the arms hung.
     hung: Option<[Vector3<f64>; SEGMENTS]>,
+    /// Since when the pose is held, or the walk goes on, s.
     still_since_s: Option<f64>,
     /// When each sensor was heard last, s.
     heard_s: [Option<f64>; SEGMENTS],
     /// What each sensor did since the step began.
     turns: [Turn; SEGMENTS],
+    /// How long both legs have moved since then, s.
+    walked_s: f64,
 }
 
 /// A movement of one sensor.
@@ -145,6 +152,7 @@ impl Guide {
             still_since_s: None,
             heard_s: [None; SEGMENTS],
             turns: [Turn::default(); SEGMENTS],
+            walked_s: 0.0,
         }
     }
 
@@ -185,6 +193,8 @@ impl Guide {
             self.begin_step();
         } else if matches!(kind, BlockKind::NPose | BlockKind::TPose) {
             self.pose(kind, t_s)
+        } else if kind == BlockKind::Walk {
+            self.walk(t_s, dt_s);
         } else {
             self.movement(kind, t_s)
         }
@@ -249,6 +259,22 @@ impl Guide {
         }
     }
 
+    fn walk(&mut self, t_s: f64, dt_s: f64) {
+        let moves = |segment: BodySegment| {
+            let index = segment.index();
+            self.present[index] && self.angular_speeds_rad_s[index] > MOVES_RAD_S
+        };
+        if BodySegment::LEGS.into_iter().any(moves) {
+            self.walked_s += dt_s;
+            self.still_since_s.get_or_insert(t_s);
+        } else if self.walked_s == 0.0 {
+            self.still_since_s = None;
+        }
+        if let Some(start_s) = self.still_since_s.filter(|_| self.walked_s >= WALK_S) {
+            self.done(Block { kind: BlockKind::Walk, start_s, end_s: t_s });
+        }
+    }
+
     fn movement(&mut self, kind: BlockKind, t_s: f64) {
         let asked: Vec<usize> = self.moved_by(kind).collect();
         let turns = || asked.iter().map(|index| self.turns[*index]);
@@ -292,6 +318,7 @@ impl Guide {
     /// Whatever was held or done before counts no more.
     fn begin_step(&mut self) {
         self.still_since_s = None;
+        self.walked_s = 0.0;
         self.turns = [Turn::default(); SEGMENTS];
     }
 
@@ -382,6 +409,9 @@ const LIMBS: [BodySegment; 8] = [
 /// What has to be done so that every sensor's mounting shows.
 fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<BlockKind> {
     let has = |segment: BodySegment| present[segment.index()];
+    if how == Thoroughness::Movement && magnetic {
+        return vec![BlockKind::Walk];
+    }
     let mut steps = vec![BlockKind::NPose];
     let with_arms = arms(present).next().is_some();
     if with_arms {
@@ -449,6 +479,7 @@ fn words(kind: BlockKind) -> &'static str {
             "Raise both arms sideways to the height of the shoulders, palms down, thumbs forward, and hold still"
         }
         BlockKind::Bow => "Bow forward with a straight back and come up again, twice; then stand still",
+        BlockKind::Walk => "Walk about as you do, arms swinging, straight on and in turns, for half a minute",
         BlockKind::TrunkRotation => {
             "Turn the chest to the left and back, twice, hips still; then stand still"
         }

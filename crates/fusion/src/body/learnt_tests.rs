@@ -1,7 +1,7 @@
 //! What movements show of how sensors sit and how long segments are, and straps that slip.
 
 use nalgebra::Vector3;
-use posed_simulator::body::{Activity, Build, Wearer, WearerSpec};
+use posed_simulator::body::{Activity, Build, Script, Wearer, WearerSpec};
 
 use super::block::{BlockKind, Recorded};
 use super::calibrate::calibrate;
@@ -159,4 +159,40 @@ fn a_strap_that_slips_is_found_anew_where_the_limb_moves() {
     let misfit = person.run();
     assert!(person.mounting_deg(BodySegment::ThighR).1 > 30.0, "whose legs stand still shows nothing");
     assert!(misfit > 0.9, "{misfit}");
+}
+
+/// Nobody stood in a pose: twenty seconds of a walk, and what the next forty show.
+#[test]
+fn who_only_walks_is_calibrated_roughly_and_then_better() {
+    let walks = Script { activity: Activity::Walking, calibration: false, facing: 0.6, mistake: None };
+    let mut wearer = Wearer::new(WearerSpec { clumsiness_rad: 0.03, ..spec(walks, 4) });
+    let (recording, _) = record(&mut wearer, 20.0);
+    let skeleton = Skeleton::from_height(1.8);
+    let walk = [Block { kind: BlockKind::Walk, start_s: 0.0, end_s: 20.0 }];
+    let mounts = calibrate(&recording, &walk, &skeleton, &UNKNOWN).unwrap().mounts;
+    // Without a block the same, as nobody stands still in the first second.
+    assert_eq!(
+        calibrate(&recording, &[], &skeleton, &UNKNOWN).unwrap().mounts[0].map(|m| m.sigma_rad),
+        mounts[0].map(|m| m.sigma_rad)
+    );
+    let mut filter = BodyFilter::new(&skeleton, &mounts, &BodyParams::default());
+    let off_deg = |filter: &BodyFilter, segment: BodySegment| {
+        let mount = filter.mounts()[segment.index()].unwrap();
+        let (truth, _) = wearer.mounting(segment.index());
+        let off = mount.q_segment_sensor.angle_to(&truth).to_degrees();
+        (off, mount.sigma_rad.norm().to_degrees())
+    };
+    let before = BodySegment::ALL.map(|segment| off_deg(&filter, segment));
+    let mut more = wearer.clone();
+    for (_, samples) in record(&mut more, 40.0).0 {
+        filter.push(&samples, 0.01);
+    }
+    for (segment, (off, said)) in BodySegment::ALL.into_iter().zip(before) {
+        let (now, sigma) = off_deg(&filter, segment);
+        println!("{}: {off:.1} (+-{said:.1}), now {now:.1} (+-{sigma:.1})", segment.name());
+        assert!(off < 1.5 * said && now < 1.5 * sigma, "{segment:?}: {off} of {said}, {now} of {sigma}");
+    }
+    for segment in [BodySegment::ThighR, BodySegment::ThighL] {
+        assert!(off_deg(&filter, segment).0 < 4.0, "{segment:?}");
+    }
 }

@@ -110,6 +110,8 @@ pub(super) struct LimbFilter {
     astray_s: f64,
     /// For so long the sensor of the upper and of the lower segment has not fitted, s; negative: so long is waited after a strap was taken for slipped.
     loose_s: [f64; 2],
+    /// Whether a strap was ever taken for slipped: what is learnt since is no error of the pose.
+    slipped: bool,
     filter: Filter,
 }
 
@@ -129,6 +131,7 @@ impl LimbFilter {
             offsets_rad_s: [Vector3::zeros(); 2],
             astray_s: 0.0,
             loose_s: [0.0; 2],
+            slipped: false,
             filter: Filter::Waiting,
         }
     }
@@ -195,6 +198,7 @@ impl LimbFilter {
         *loose_s = if misfit || *loose_s < 0.0 { *loose_s + dt_s } else { 0.0 };
         if *loose_s > LOOSE_S {
             *loose_s = -PATIENCE_S;
+            self.slipped = true;
             // An elbow, which has two axes, does not show which of its two sensors it is.
             let arm = matches!(self.limb, Limb::ArmR | Limb::ArmL);
             for loose in (0..2).filter(|one| arm || *one == which) {
@@ -205,6 +209,19 @@ impl LimbFilter {
             *loose_s = 0.0;
             self.restart();
         }
+    }
+
+    /// Its sensors sit otherwise than was said: begins anew.
+    pub(super) fn remount(&mut self, skeleton: &Skeleton, mounts: &[Option<SensorMount>; SEGMENTS]) {
+        self.geometry = LimbGeometry::of(self.limb, skeleton, mounts);
+        self.loose_s = [0.0; 2];
+        self.slipped = false;
+        self.restart();
+    }
+
+    /// Whether no strap of it was ever taken for slipped.
+    pub(super) fn holds(&self) -> bool {
+        !self.slipped
     }
 
     /// Begins anew from its sensors' own orientations.

@@ -47,6 +47,9 @@ mod taps;
 mod tests;
 mod travel;
 mod whole;
+mod worn;
+#[cfg(test)]
+mod worn_tests;
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use posed_state::Plain;
@@ -75,8 +78,9 @@ use super::limb::{Base, LimbNoise};
 use health::Watch;
 use infer::Inference;
 use limbs::LimbFilter;
-use posed_geometry::GRAVITY_M_S2;
+use posed_geometry::{GRAVITY_M_S2, so3};
 use travel::TravelFilter;
+use worn::{Shown, Verdict, Worn};
 
 /// Samples of the whole body at one time, sensor axes, by [`BodySegment::index`]; `None` where no sensor is worn or none
 /// came.
@@ -232,13 +236,15 @@ impl BodyEstimate {
 #[derive(Clone, Debug, PartialEq, Plain)]
 struct Sensor {
     mount: SensorMount,
-    /// How it was said to sit when the body began, sensor to segment.
-    began: UnitQuaternion<f64>,
+    /// How it was said to sit when the body began.
+    began: SensorMount,
     ahrs: Ahrs,
     started: bool,
     /// Time since its last sample, s, and what that one stood for.
     behind_s: f64,
     step_s: f64,
+    /// Angular acceleration, sensor axes, rad/s².
+    accel_rad_s2: Vector3<f64>,
     /// Time since its first sample, or since it came back, s.
     settled_s: f64,
     /// For so long a field is still waited for, s.
@@ -276,6 +282,9 @@ pub struct BodyFilter {
     unanchored_s: f64,
     /// Whether something else has ever told the heading.
     heading_anchored: bool,
+    worn: Worn,
+    /// Under which segment the samples of each segment's sensor are pushed: another one where two were swapped.
+    taken_from: [usize; SEGMENTS],
     estimate: BodyEstimate,
 }
 
@@ -284,11 +293,12 @@ impl BodyFilter {
     pub fn new(skeleton: &Skeleton, mounts: &[Option<SensorMount>; SEGMENTS], params: &BodyParams) -> Self {
         let sensor = |mount: SensorMount| Sensor {
             mount,
-            began: mount.q_segment_sensor,
+            began: mount,
             ahrs: Ahrs::new(params.ahrs.clone()),
             started: false,
             behind_s: 0.0,
             step_s: 0.0,
+            accel_rad_s2: Vector3::zeros(),
             settled_s: 0.0,
             patience_s: 0.0,
             magnetometer: false,
@@ -306,13 +316,25 @@ impl BodyFilter {
             turns_rad_s: [None; SEGMENTS],
             unanchored_s: 0.0,
             heading_anchored: false,
+            worn: Worn::default(),
+            taken_from: std::array::from_fn(|index| index),
             estimate: BodyEstimate::default(),
         }
     }
 
-    /// How the sensors sit, by [`BodySegment::index`]: those of limbs as their movements have shown it so far.
+    /// How the sensors sit, by [`BodySegment::index`] of the segment that their samples are pushed under: those of limbs as their movements have shown it so far.
     pub fn mounts(&self) -> [Option<SensorMount>; SEGMENTS] {
-        self.sensors.each_ref().map(|sensor| sensor.as_ref().map(|sensor| sensor.mount))
+        let mut mounts = [None; SEGMENTS];
+        for (sensor, from) in self.sensors.iter().zip(self.taken_from) {
+            mounts[from] = sensor.as_ref().map(|sensor| sensor.mount);
+        }
+        mounts
+    }
+
+    /// Under which segment the samples of each segment's sensor are pushed, both by [`BodySegment::index`]: another one where movements have shown that two
+    /// sensors were swapped.
+    pub fn taken_from(&self) -> &[usize; SEGMENTS] {
+        &self.taken_from
     }
 
     /// What the movements have shown of the segments of limbs, by [`BodySegment::index`]; `None` for all other segments, for one without a sensor, and where the
@@ -334,7 +356,7 @@ impl BodyFilter {
                 let mount = &sensor.mount;
                 all[segment.index()] = sensor.is_learnt().then(|| Learnt {
                     mounting_sigma_rad: mount.rms_rad(),
-                    turned_rad: mount.q_segment_sensor.angle_to(&sensor.began),
+                    turned_rad: mount.q_segment_sensor.angle_to(&sensor.began.q_segment_sensor),
                     length_m,
                 });
             }
@@ -365,9 +387,10 @@ impl BodyFilter {
         if !dt_s.is_finite() || dt_s <= 0.0 {
             return &self.estimate;
         }
-        for ((sensor, sample), age_s) in self.sensors.iter_mut().zip(samples).zip(ages_s) {
+        let samples = &self.taken_from.map(|from| samples[from]);
+        for ((sensor, sample), from) in self.sensors.iter_mut().zip(samples).zip(self.taken_from) {
             if let Some(sensor) = sensor {
-                sensor.push(sample.as_ref(), *age_s, dt_s);
+                sensor.push(sample.as_ref(), ages_s[from], dt_s);
             }
         }
         let orientations =
@@ -383,6 +406,9 @@ impl BodyFilter {
                 if let Some(sensor) = &mut self.sensors[segment.index()] {
                     filter.refine(which, &mut sensor.mount);
                 }
+            }
+            if filter.holds() {
+                share(&mut self.sensors, lower, limb.end());
             }
             for ((segment, report), sample) in [upper, lower].into_iter().zip(reports).zip(pair) {
                 if let (Some(sensor), Some(sample), Some(nis)) =
@@ -402,6 +428,9 @@ impl BodyFilter {
             Some(legs) => Some(self.travel.push(&legs, heading_rad, dt_s)),
             None => self.travel.pause(heading_rad),
         };
+        if self.worn.is_due(dt_s) {
+            self.watch_straps(samples);
+        }
         &self.estimate
     }
 
@@ -439,6 +468,55 @@ impl BodyFilter {
             self.held_s = 0.0;
         }
         done
+    }
+
+    /// Whether movements show that calibrated sensors sit on other segments than was said; they count where they sit from then on.
+    fn watch_straps(&mut self, samples: &BodySamples) {
+        let began = self.sensors.each_ref().map(|sensor| {
+            let began = sensor.as_ref()?.began;
+            (began.sigma_rad != Vector3::zeros()).then_some(began)
+        });
+        let shown = std::array::from_fn(|index| {
+            let (sensor, began) = (self.sensors[index].as_ref()?, began[index]?);
+            let sample = samples[index].filter(health::usable)?;
+            let q = &began.q_segment_sensor;
+            let q_room_segment = sensor.orientation()? * sensor.mount.q_segment_sensor * q.inverse();
+            (sensor.settled_s >= SETTLED_S).then(|| Shown {
+                q_room_segment,
+                angular_velocity_rad_s: q * (sample.gyro_rad_s - sensor.ahrs.bias_rad_s()),
+                accel_rad_s2: q * sensor.accel_rad_s2,
+                specific_force_m_s2: q * sample.accel_m_s2,
+            })
+        });
+        self.worn.push(&shown, &began, &self.skeleton);
+        if let Some(verdict) = self.worn.verdict(&self.skeleton, &began) {
+            self.reseat(&verdict);
+        }
+    }
+
+    #[cfg(test)]
+    fn worn_odds(&self) -> [(f64, worn::Order); 2] {
+        let began = self.sensors.each_ref().map(|sensor| sensor.as_ref().map(|sensor| sensor.began));
+        self.worn.odds(&self.skeleton, &began)
+    }
+
+    /// Sensors sit where movements have shown, as they were found to sit by poses: in those all segments stand alike.
+    fn reseat(&mut self, verdict: &Verdict) {
+        let before = std::mem::take(&mut self.sensors);
+        self.sensors = std::array::from_fn(|index| {
+            let mut sensor = before[verdict.taken_from[index]].clone()?;
+            sensor.reseat(before[index].as_ref().map_or(sensor.began.offset_m, |worn| worn.began.offset_m));
+            if verdict.faces_back {
+                sensor.face_back();
+            }
+            Some(sensor)
+        });
+        self.taken_from = verdict.taken_from.map(|from| self.taken_from[from]);
+        let mounts = self.sensors.each_ref().map(|sensor| sensor.as_ref().map(|sensor| sensor.mount));
+        self.limbs.iter_mut().for_each(|limb| limb.remount(&self.skeleton, &mounts));
+        self.last_motions = [None; 2];
+        self.turns_rad_s = [None; SEGMENTS];
+        self.worn = Worn::default();
     }
 
     /// The latest estimate; nothing known before the first [`Self::push`].
@@ -527,7 +605,8 @@ impl BodyFilter {
             let Some(sensor) = &mut self.sensors[index] else { continue };
             let body = out.orientations[index].filter(|_| settled);
             sensor.watch.agrees(own[index], body, sensor.magnetometer, dt_s);
-            out.faults[index] = sensor.watch.fault();
+            let swapped = (self.taken_from[index] != index).then_some(Cause::Swapped);
+            out.faults[index] = sensor.watch.fault().or(swapped);
         }
         for (limb, filter) in Limb::ALL.into_iter().zip(&mut self.limbs) {
             let [_, upper, lower] = limb.segments();
@@ -599,7 +678,9 @@ impl Sensor {
         }
         self.patience_s -= self.step_s;
         self.magnetometer |= sample.mag.is_some();
+        let before = self.ahrs.angular_velocity_rad_s();
         self.ahrs.push(sample, self.step_s);
+        self.accel_rad_s2 = (self.ahrs.angular_velocity_rad_s() - before) / self.step_s;
         if !self.started {
             self.started = true;
             if !self.magnetometer {
@@ -609,6 +690,23 @@ impl Sensor {
                 });
                 self.heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading);
             }
+        }
+    }
+
+    /// It sits on another segment than was said, there, and as it was found to sit when the body began.
+    fn reseat(&mut self, offset_m: Vector3<f64>) {
+        self.began.offset_m = offset_m;
+        self.mount = self.began;
+        self.watch = Watch::default();
+    }
+
+    /// What was taken for its segment's front is its back.
+    fn face_back(&mut self) {
+        let half = |axis| UnitQuaternion::from_axis_angle(&axis, std::f64::consts::PI);
+        self.began.q_segment_sensor = half(Vector3::y_axis()) * self.began.q_segment_sensor;
+        self.mount = self.began;
+        if !self.magnetometer {
+            self.heading = half(Vector3::z_axis()) * self.heading;
         }
     }
 
@@ -639,6 +737,25 @@ impl Sensor {
     fn north(&self) -> Option<Vector3<f64>> {
         (self.started && self.magnetometer).then(|| self.ahrs.orientation().inverse() * Vector3::y())
     }
+}
+
+/// A hand hangs straight on its forearm in a pose, however that one leans: what movements show the forearm's mounting to be wrong by, the hand's is wrong by, too,
+/// as far as both go by the pose alone. The same of a foot and its shank.
+fn share(sensors: &mut [Option<Sensor>; SEGMENTS], lower: BodySegment, end: BodySegment) {
+    let Some((mount, began)) = sensors[lower.index()].as_ref().map(|lower| (lower.mount, lower.began)) else {
+        return;
+    };
+    let Some(end) = &mut sensors[end.index()] else { return };
+    if began.sigma_rad == Vector3::zeros() || end.began.sigma_rad == Vector3::zeros() {
+        return;
+    }
+    let turned_rad = so3::log(&(mount.q_segment_sensor * began.q_segment_sensor.inverse()));
+    let variances = |mount: &SensorMount| mount.sigma_rad.component_mul(&mount.sigma_rad);
+    let (known, before, own) = (variances(&mount), variances(&began), variances(&end.began));
+    let part = before.zip_map(&own, |lower, end| (lower / end).min(1.0));
+    end.mount.q_segment_sensor = so3::exp(&turned_rad.component_mul(&part)) * end.began.q_segment_sensor;
+    let shown = (before - known).map(|shown| shown.max(0.0));
+    end.mount.sigma_rad = (own - shown.component_mul(&part).component_mul(&part)).map(f64::sqrt);
 }
 
 /// Whether its specific force may be gravity's, more or less.

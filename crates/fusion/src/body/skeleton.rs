@@ -183,6 +183,16 @@ impl Limb {
             Self::LegL => [BodySegment::Pelvis, BodySegment::ThighL, BodySegment::ShankL],
         }
     }
+
+    /// The hand or the foot at its end.
+    pub fn end(self) -> BodySegment {
+        match self {
+            Self::ArmR => BodySegment::HandR,
+            Self::LegR => BodySegment::FootR,
+            Self::ArmL => BodySegment::HandL,
+            Self::LegL => BodySegment::FootL,
+        }
+    }
 }
 
 /// Lengths of a body, m: rigid segments with fixed joint centres.

@@ -57,6 +57,8 @@ pub enum Cause {
     Saturated,
     /// Does not fit its body segment: the strap has slipped, or two sensors are swapped.
     Misfit,
+    /// Sits on another body segment than the stage says, as movements have shown; it counts where it sits.
+    Swapped,
     /// A jump that no motion makes.
     Jump,
     /// A place, or a distance to another sensor, that joints do not allow.
@@ -79,6 +81,7 @@ impl Cause {
             Self::NotFinite => "not_finite",
             Self::Saturated => "saturated",
             Self::Misfit => "misfit",
+            Self::Swapped => "swapped",
             Self::Jump => "jump",
             Self::Bone => "bone",
             Self::Map => "map",
@@ -97,6 +100,7 @@ impl Cause {
             Self::NotFinite => "it sends numbers that are not finite",
             Self::Saturated => "it is at the end of its range",
             Self::Misfit => "it does not move as its body segment can",
+            Self::Swapped => "it sits on another body segment than the stage says, and counts where it sits",
             Self::Jump => "it jumped as no motion does",
             Self::Bone => "it is where joints do not allow it",
             Self::Map | Self::Distance => "it is where the fault map has not seen it",

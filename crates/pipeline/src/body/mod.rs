@@ -161,6 +161,7 @@ impl BodyStage {
                     self.tapped_now = tapped.and_then(|segment| self.wearing[segment]);
                 }
                 self.out.t_valid = t?;
+                self.wearing = wearing(&self.worn(), &self.trackers);
                 self.place(estimate);
             }
             Solver::Trackers(follower) => {
@@ -275,9 +276,18 @@ impl BodyStage {
         filter.reset_heading(&only, heading_rad)
     }
 
+    /// The IMU on each segment, as movements have shown it: another one than was said where two were swapped.
+    fn worn(&self) -> [Option<SensorIndex>; SEGMENTS] {
+        let imus = self.epochs.imus();
+        match &self.solver {
+            Solver::Imus(filter) => filter.taken_from().map(|from| imus[from]),
+            _ => *imus,
+        }
+    }
+
     /// Segments that wear this IMU, or any.
     fn on_body(&self, sensor: Option<SensorIndex>) -> impl Iterator<Item = BodySegment> + use<> {
-        let imus = *self.epochs.imus();
+        let imus = self.worn();
         BodySegment::ALL.into_iter().filter(move |segment| match (imus[segment.index()], sensor) {
             (Some(worn), Some(asked)) => worn == asked,
             (worn, _) => worn.is_some(),
@@ -374,6 +384,8 @@ impl BodyStage {
             let fault = found.faults[index];
             let state = match (shown, fault) {
                 (None, _) => SegmentState::Missing,
+                // It counts where it sits.
+                (Some(_), Some(Cause::Swapped)) => SegmentState::Ok,
                 (Some(_), Some(_)) => SegmentState::Suspect,
                 (Some(_), None) if self.wearing[index].is_none() => SegmentState::Inferred,
                 (Some(_), None) => SegmentState::Ok,

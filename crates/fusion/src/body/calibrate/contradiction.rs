@@ -300,14 +300,16 @@ fn leans(
     Ok(())
 }
 
-/// A limb that is to move does so from how it hung.
+/// A limb that is to move does so from how it hung, or from a posture that the movement goes through.
 fn begins_in_pose(session: &Session<'_>, seen: &Seen, axis: &Axis) -> Result<(), Contradiction> {
     let BlockKind::Move(segment, _) = axis.block.kind else { return Ok(()) };
     let index = segment.index();
     let Some(held) = seen.low().and_then(|held| held[index]) else { return Ok(()) };
     let Some(start) = session.tracks[index].get(session.range(&axis.block).start) else { return Ok(()) };
-    let found_deg = tilt_deg(&held, start);
-    if found_deg > START_DEG {
+    // About its own axis it may begin anywhere: the pose shows which way it went.
+    let steepness = |q: &UnitQuaternion<f64>| libm::asin((q * axis.sensor).z.clamp(-1.0, 1.0));
+    let found_deg = (steepness(&held) - steepness(start)).abs().to_degrees();
+    if axis.segment == segment && found_deg > START_DEG {
         let movement = axis.block.kind.name();
         return Err(Contradiction::Start { movement, segment: segment.name(), found_deg });
     }

@@ -8,7 +8,7 @@ use super::super::block::BlockKind;
 use super::super::skeleton::{BodySegment, upright};
 use super::super::{joint_rotation, yaw_from_upright};
 use super::CalibrationError;
-use super::session::{Held, Seen};
+use super::session::{Held, ONE_WAY, Seen};
 
 /// How well people raise their arms just sideways, and stand straight ahead, degrees.
 pub(super) const FACING_DEG: f64 = 5.0;
@@ -25,6 +25,8 @@ pub(super) struct Faced {
     /// Level, in the room or the sensor's level frame; short where what shows it is steep.
     pub(super) forward: Vector3<f64>,
     pub(super) sigma_deg: f64,
+    /// Whether it may as well be the other way: of a movement that went both ways alike.
+    pub(super) open: bool,
 }
 
 /// Which way the body faced in the N-pose, or in the T-pose where none was held, by all that shows it.
@@ -34,7 +36,8 @@ pub(super) fn faced(seen: &Seen) -> impl Iterator<Item = Faced> {
         // Forward is where the axis would point if the body looked along the room's x, turned with it.
         let nominal = upright() * posture(axis.segment, seen.low().is_none()) * axis.in_segment;
         let forward = forward(&(sensor * axis.sensor), &nominal);
-        Some(Faced { segment: axis.segment, kind: axis.block.kind, forward, sigma_deg: axis.sigma_deg })
+        let open = axis.one_way < ONE_WAY;
+        Some(Faced { segment: axis.segment, kind: axis.block.kind, forward, sigma_deg: axis.sigma_deg, open })
     });
     // From the N-pose to the T-pose an arm goes to the body's side, however it turns about its own length.
     let by_arms = BodySegment::ARMS.into_iter().filter_map(|segment| {
@@ -43,7 +46,7 @@ pub(super) fn faced(seen: &Seen) -> impl Iterator<Item = Faced> {
         let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -turned_between(low, high));
         let arm = turned * raised_to(&rotation);
         let forward = Vector3::new(-arm.y, arm.x, 0.0) * segment.side();
-        let faced = Faced { segment, kind: BlockKind::TPose, forward, sigma_deg: FACING_DEG };
+        let faced = Faced { segment, kind: BlockKind::TPose, forward, sigma_deg: FACING_DEG, open: false };
         (forward.norm() > RAISED).then_some(faced)
     });
     by_axis.chain(by_arms)
@@ -100,7 +103,7 @@ impl Facing<'_> {
 
 /// The body's forward direction, level, from a direction that was `seen` where `nominal` is that of a body which looks along x;
 /// short where the direction is steep.
-fn forward(seen: &Vector3<f64>, nominal: &Vector3<f64>) -> Vector3<f64> {
+pub(super) fn forward(seen: &Vector3<f64>, nominal: &Vector3<f64>) -> Vector3<f64> {
     let (s, n) = (Vector3::new(seen.x, seen.y, 0.0), Vector3::new(nominal.x, nominal.y, 0.0));
     Vector3::new(s.dot(&n), n.x * s.y - n.y * s.x, 0.0)
 }

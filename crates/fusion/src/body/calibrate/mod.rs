@@ -13,6 +13,9 @@
 mod contradiction;
 mod facing;
 mod session;
+#[cfg(test)]
+mod tests;
+mod walk;
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -116,7 +119,7 @@ struct SegmentAxis {
 
 /// Finds the sensor-to-segment alignments. `offsets_m` states where sensors sit, segment frame, m, by [`BodySegment::index`],
 /// where that is known; without a block, the first second counts as an N-pose and the whole recording as bending of elbows
-/// and knees. Magnetometers count where all sensors have one. Offline; Wahba's problem with the weights of
+/// and knees, or where somebody moves in it, the whole recording as a walk. A walk counts where no pose was held: what it shows is good to some degrees. Magnetometers count where all sensors have one. Offline; Wahba's problem with the weights of
 /// `docs/methods/body.md`.
 ///
 /// # Errors
@@ -132,6 +135,19 @@ pub fn calibrate(
     let tracks = Tracks::of(recording);
     let session = Session::new(recording, &tracks)?;
     let alone = alone(recording, &session.present);
+    let posed = blocks.iter().any(|block| matches!(block.kind, BlockKind::NPose | BlockKind::TPose));
+    let walk = blocks.iter().find(|block| block.kind == BlockKind::Walk);
+    if let Some(walk) = walk.filter(|_| !posed) {
+        return walk::calibrate(&session, walk, skeleton, offsets_m);
+    }
+    if blocks.is_empty()
+        && let Err(CalibrationError::NotHeld { .. }) = session.seen(&alone[..1])
+        && let [_, whole, ..] = alone.as_slice()
+        && let Ok(found) =
+            walk::calibrate(&session, &Block { kind: BlockKind::Walk, ..*whole }, skeleton, offsets_m)
+    {
+        return Ok(found);
+    }
     let seen = session.seen(if blocks.is_empty() { &alone } else { blocks })?;
     if seen.standing.is_empty() && seen.spread.is_empty() {
         return Err(CalibrationError::NoPose);

@@ -7,8 +7,9 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::super::BodySamples;
 use super::super::block::{Block, BlockKind, Movement, Recorded};
-use super::super::skeleton::{BodySegment, SEGMENTS};
+use super::super::skeleton::{BodySegment, SEGMENTS, upright};
 use super::CalibrationError;
+use super::facing::{Faced, faced, forward, posture};
 use crate::ahrs::{Ahrs, ImuSample, Params};
 use crate::chain;
 use crate::mounting::{Refused, hinge_axes};
@@ -23,6 +24,10 @@ const PARENT_ROTATES_RAD: f64 = 0.35;
 /// How far a segment must turn in a movement to show its axis, root mean square, rad: 12 degrees, and half of it for head, hands and feet, which turn less far.
 const TURNS_RAD: f64 = 12_f64.to_radians();
 const EXTREMITY_TURNS_RAD: f64 = 0.1;
+/// A movement of which less went one way does not show which way its axis points.
+pub(super) const ONE_WAY: f64 = 0.3;
+/// An axis whose vertical part is longer in the pose points up or down.
+const STEEP: f64 = 0.7;
 /// How well people move about one axis, degrees: about a hinge, and any other.
 const HINGE_DEG: f64 = 2.0;
 const BALL_DEG: f64 = 6.0;
@@ -32,6 +37,8 @@ pub(super) struct Axis {
     pub(super) block: Block,
     pub(super) segment: BodySegment,
     pub(super) sensor: Vector3<f64>,
+    /// How much of the movement went one way, 0 to 1: what goes both ways alike does not show which way the axis points.
+    pub(super) one_way: f64,
     pub(super) in_segment: Vector3<f64>,
     pub(super) sigma_deg: f64,
 }
@@ -55,6 +62,32 @@ impl Seen {
     /// The first T-pose.
     pub(super) fn high(&self) -> Option<&Held> {
         self.spread.first().map(|(_, held)| held)
+    }
+
+    /// Axes of movements that went both ways alike point as the poses show it: a steep one by gravity, a level one by which way the body faces.
+    fn point_axes(&mut self, magnetic: bool) {
+        let open = |axis: &Axis| axis.one_way < ONE_WAY;
+        let known: Vec<Faced> = faced(self).filter(|faced| !faced.open).collect();
+        let Some(reference) = self.reference().copied() else { return };
+        let raised = self.low().is_none();
+        for axis in self.axes.iter_mut().filter(|axis| open(axis)) {
+            let Some(held) = reference[axis.segment.index()] else { continue };
+            let (seen, nominal) =
+                (held * axis.sensor, upright() * posture(axis.segment, raised) * axis.in_segment);
+            let facing: Vector3<f64> = known
+                .iter()
+                .filter(|faced| magnetic || faced.segment == axis.segment)
+                .map(|faced| faced.forward / faced.sigma_deg)
+                .sum();
+            let agrees = if nominal.z.abs() > STEEP {
+                seen.z * nominal.z
+            } else {
+                forward(&seen, &nominal).dot(&facing)
+            };
+            if agrees < 0.0 {
+                axis.sensor = -axis.sensor;
+            }
+        }
     }
 
     /// The pose that all else is held against: the first N-pose, or the first T-pose where none was held.
@@ -152,10 +185,13 @@ impl<'a> Session<'a> {
         };
         let (standing, spread) = (poses(BlockKind::NPose)?, poses(BlockKind::TPose)?);
         let mut axes = Vec::new();
+        let low = standing.first().map(|(_, held)| held);
         for block in blocks {
-            self.axes(block, &mut axes)?;
+            self.axes(block, low, &mut axes)?;
         }
-        Ok(Seen { standing, spread, axes })
+        let mut seen = Seen { standing, spread, axes };
+        seen.point_axes(self.magnetic);
+        Ok(seen)
     }
 
     /// The samples of a span.
@@ -205,7 +241,7 @@ impl<'a> Session<'a> {
     }
 
     /// The axes that a movement shows, in the sensors on both sides of the joint.
-    fn axes(&self, block: &Block, out: &mut Vec<Axis>) -> Result<(), CalibrationError> {
+    fn axes(&self, block: &Block, low: Option<&Held>, out: &mut Vec<Axis>) -> Result<(), CalibrationError> {
         let range = self.range(block);
         let failed = |reason| CalibrationError::Movement {
             movement: block.kind.name(),
@@ -214,17 +250,19 @@ impl<'a> Session<'a> {
             reason,
         };
         let (segment, movement) = match block.kind {
-            BlockKind::NPose | BlockKind::TPose => return Ok(()),
+            BlockKind::NPose | BlockKind::TPose | BlockKind::Walk => return Ok(()),
             BlockKind::Bow => {
                 for segment in [BodySegment::Torso, BodySegment::Pelvis] {
                     if self.present[segment.index()] {
-                        let sensor = main_axis(&self.tracks[segment.index()][range.clone()], TURNS_RAD)
-                            .map_err(failed)?;
+                        let (sensor, one_way) =
+                            self.main_axis(segment, low, range.clone(), TURNS_RAD).map_err(failed)?;
+                        let in_segment = -Vector3::z();
                         out.push(Axis {
                             block: *block,
                             segment,
                             sensor,
-                            in_segment: -Vector3::z(),
+                            one_way,
+                            in_segment,
                             sigma_deg: BALL_DEG,
                         });
                     }
@@ -233,10 +271,10 @@ impl<'a> Session<'a> {
             }
             BlockKind::TrunkRotation => {
                 if self.present[BodySegment::Torso.index()] {
-                    let sensor = main_axis(&self.tracks[BodySegment::Torso.index()][range], TURNS_RAD)
-                        .map_err(failed)?;
                     let (segment, in_segment) = (BodySegment::Torso, Vector3::y());
-                    out.push(Axis { block: *block, segment, sensor, in_segment, sigma_deg: BALL_DEG });
+                    let (sensor, one_way) = self.main_axis(segment, low, range, TURNS_RAD).map_err(failed)?;
+                    let sigma_deg = BALL_DEG;
+                    out.push(Axis { block: *block, segment, sensor, one_way, in_segment, sigma_deg });
                 }
                 return Ok(());
             }
@@ -249,14 +287,14 @@ impl<'a> Session<'a> {
         let side = segment.side();
         if BodySegment::EXTREMITIES.contains(&segment) {
             // What it shows of the segment above, that one's own movements show better.
-            let sensor =
-                main_axis(&self.tracks[segment.index()][range], EXTREMITY_TURNS_RAD).map_err(failed)?;
+            let (sensor, one_way) =
+                self.main_axis(segment, low, range, EXTREMITY_TURNS_RAD).map_err(failed)?;
             let in_segment = match segment {
                 BodySegment::Head => -Vector3::z(),
                 BodySegment::HandR | BodySegment::HandL => Vector3::x() * side,
                 _ => Vector3::z(),
             };
-            out.push(Axis { block: *block, segment, sensor, in_segment, sigma_deg: BALL_DEG });
+            out.push(Axis { block: *block, segment, sensor, one_way, in_segment, sigma_deg: BALL_DEG });
             return Ok(());
         }
         let hinge = matches!(
@@ -273,28 +311,53 @@ impl<'a> Session<'a> {
             Movement::Rotation | Movement::Pronation => (Vector3::y() * side, false),
         };
         let sigma_deg = if hinge && both { HINGE_DEG } else { BALL_DEG };
-        let axes = if self.present[parent.index()] {
-            self.pair(parent, segment, range).map_err(failed)?
+        let ([above, below], one_way) = if self.present[parent.index()] {
+            self.pair(parent, segment, low, range).map_err(failed)?
         } else {
-            [None, Some(main_axis(&self.tracks[segment.index()][range], TURNS_RAD).map_err(failed)?)]
+            let (below, one_way) = self.main_axis(segment, low, range, TURNS_RAD).map_err(failed)?;
+            ([None, Some(below)], one_way)
         };
-        let [above, below] = axes;
         if let Some(sensor) = above.filter(|_| both) {
-            out.push(Axis { block: *block, segment: parent, sensor, in_segment, sigma_deg });
+            out.push(Axis { block: *block, segment: parent, sensor, one_way, in_segment, sigma_deg });
         }
         if let Some(sensor) = below {
-            out.push(Axis { block: *block, segment, sensor, in_segment, sigma_deg });
+            out.push(Axis { block: *block, segment, sensor, one_way, in_segment, sigma_deg });
         }
         Ok(())
     }
 
-    /// The axis between two sensors, positive for the way that the movement begins.
-    fn pair(
+    /// The axis about which a sensor mainly turned, its axes, positive for the way that it went from the N-pose, or from where it began; and how much of it went
+    /// that way.
+    fn main_axis(
+        &self,
+        segment: BodySegment,
+        low: Option<&Held>,
+        range: std::ops::Range<usize>,
+        needed_rad: f64,
+    ) -> Result<(Vector3<f64>, f64), Refused> {
+        let track = &self.tracks[segment.index()][range];
+        let still = vec![UnitQuaternion::identity(); track.len()];
+        let [_, axis] = relative_axis(&still, track, needed_rad)?;
+        let Some(held) = low.and_then(|low| low[segment.index()]) else {
+            return Ok(pointed(axis, &still, track, &track[0]));
+        };
+        // By gravity alone: the person may face another way by now.
+        let up = |q: &UnitQuaternion<f64>| q.inverse() * Vector3::z();
+        let went = |q: &UnitQuaternion<f64>| up(q).cross(&up(&held)).dot(&axis);
+        let sum: f64 = track.iter().map(went).sum();
+        let squares: f64 = track.iter().map(|q| went(q).powi(2)).sum();
+        let one_way = sum.abs() / (squares * track.len() as f64).sqrt().max(needed_rad * track.len() as f64);
+        Ok((axis * sum.signum(), one_way))
+    }
+
+    /// The axis between two sensors, positive for the way that the movement went from the N-pose, or from where it began; and how much of it went that way.
+    pub(super) fn pair(
         &self,
         parent: BodySegment,
         segment: BodySegment,
+        low: Option<&Held>,
         range: std::ops::Range<usize>,
-    ) -> Result<[Option<Vector3<f64>>; 2], Refused> {
+    ) -> Result<([Option<Vector3<f64>>; 2], f64), Refused> {
         let (a, b) = (parent.index(), segment.index());
         let samples: Vec<_> = self.recording[range.clone()]
             .iter()
@@ -308,7 +371,8 @@ impl<'a> Session<'a> {
         // Headings of their own tie the two together only as far as both turn: above a parent that stands still, the joint shows
         // its axis in the sensor below alone.
         if !self.magnetic && turned_rad(before) < PARENT_ROTATES_RAD {
-            return main_axis(behind, TURNS_RAD).map(|axis| [None, Some(axis)]);
+            let (axis, one_way) = self.main_axis(segment, low, range, TURNS_RAD)?;
+            return Ok(([None, Some(axis)], one_way));
         }
         let steps_s: Vec<f64> = range
             .clone()
@@ -323,16 +387,31 @@ impl<'a> Session<'a> {
             Some(axes) => chain::refined_axes(&axes, before, behind, &steps_s),
             None => relative_axis(before, behind, TURNS_RAD)?,
         };
-        // The way the movement begins: the mean rotation from the posture at its start.
-        let start = before[0].inverse() * behind[0];
-        let mean: Vector3<f64> = before
-            .iter()
-            .zip(behind)
-            .map(|(a, b)| so3::log(&(start.inverse() * (a.inverse() * b))))
-            .sum::<Vector3<f64>>();
-        let sign = mean.dot(&second).signum();
-        Ok([Some(first * sign), Some(second * sign)])
+        // From the pose; headings of their own have drifted apart since, so that without a field the posture at the start has to do.
+        let held = low.filter(|_| self.magnetic).and_then(|low| Some(low[a]?.inverse() * low[b]?));
+        let start = held.unwrap_or_else(|| before[0].inverse() * behind[0]);
+        let (second_pointed, one_way) = pointed(second, before, behind, &start);
+        let sign = second_pointed.dot(&second).signum();
+        Ok(([Some(first * sign), Some(second_pointed)], one_way))
     }
+}
+
+/// An axis of the second of two sensors, positive for the way that it went from `start` (its rotation against the first one there); and how much of it went that way.
+fn pointed(
+    axis: Vector3<f64>,
+    before: &[UnitQuaternion<f64>],
+    behind: &[UnitQuaternion<f64>],
+    start: &UnitQuaternion<f64>,
+) -> (Vector3<f64>, f64) {
+    let went = before.iter().zip(behind).map(|(a, b)| so3::log(&(start.inverse() * (a.inverse() * b))));
+    let (mut sum, mut squares) = (0.0, 0.0);
+    for rotation_vector_rad in went {
+        let along = rotation_vector_rad.dot(&axis);
+        sum += along;
+        squares += along * along;
+    }
+    let one_way = sum.abs() / (squares * before.len() as f64).sqrt().max(f64::MIN_POSITIVE);
+    (axis * sum.signum(), one_way)
 }
 
 /// How far a sensor turned from where it began, root mean square, rad.
@@ -340,12 +419,6 @@ fn turned_rad(track: &[UnitQuaternion<f64>]) -> f64 {
     let Some(start) = track.first() else { return 0.0 };
     let squares: f64 = track.iter().map(|q| start.angle_to(q).powi(2)).sum();
     (squares / track.len() as f64).sqrt()
-}
-
-/// The axis about which a sensor mainly turned, its axes, positive for the way that the movement begins.
-fn main_axis(track: &[UnitQuaternion<f64>], needed_rad: f64) -> Result<Vector3<f64>, Refused> {
-    let still = vec![UnitQuaternion::identity(); track.len()];
-    relative_axis(&still, track, needed_rad).map(|[_, second]| second)
 }
 
 /// The axis about which the second of two sensors mainly turned against the first, in the axes of both: the plane of the
@@ -358,11 +431,9 @@ fn relative_axis(
     let relative: Vec<_> = before.iter().zip(behind).map(|(a, b)| a.inverse() * b).collect();
     let Some(start) = relative.first() else { return Err(Refused::TooShort { found: 0, needed: 50 }) };
     let mut spread = Matrix3::zeros();
-    let mut mean = Vector3::zeros();
     for q in &relative {
         let rotation_vector_rad = so3::log(&(start.inverse() * q));
         spread += rotation_vector_rad * rotation_vector_rad.transpose();
-        mean += rotation_vector_rad;
     }
     let n = relative.len() as f64;
     spread /= n;
@@ -374,6 +445,5 @@ fn relative_axis(
     if eigen.eigenvalues[largest].is_nan() || eigen.eigenvalues[largest] < needed {
         return Err(Refused::Excitation { found: eigen.eigenvalues[largest], needed });
     }
-    let axis = axis * axis.dot(&mean).signum();
     Ok([start * axis, axis])
 }

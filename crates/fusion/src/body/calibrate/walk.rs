@@ -1,0 +1,154 @@
+//! How sensors sit, from somebody who walks about: no pose is held.
+//!
+//! In: a recording of a body with magnetometers whose legs wear sensors on thighs and shanks. Out: a mounting of every sensor, good to some degrees, with what that leaves
+//! open: the filters of arms and legs go on from there. It refuses where the knees do not show which way the body faces.
+//!
+//! Knees bend one way: straight most of the time, and far for a moment in each stride, so that the axis between thigh and shank points to the side on which the long tail of
+//! the angle lies. Both knees show which way the body faces at every moment, and relative to that, on average over the strides, every segment hangs nearly upright.
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::super::SensorMount;
+use super::super::block::Block;
+use super::super::skeleton::{BodySegment, SEGMENTS, Skeleton, upright};
+use super::facing::forward;
+use super::session::Session;
+use super::{Calibrated, CalibrationError, SegmentAxis, wahba};
+use crate::mounting::Refused;
+use posed_geometry::so3;
+
+/// How well a knee shows its axis in walking, and how upright segments hang on average about the other axes, degrees: people walk with bent elbows and turned feet.
+const KNEE_DEG: f64 = 4.0;
+/// The knee is nearly straight at its straightest in each stride, rad; the part of the time in which it is straighter.
+const STRAIGHT_RAD: f64 = 0.05;
+const STRAIGHTER: f64 = 0.1;
+/// A distribution that is less skewed than that shows no way in which a joint bends.
+const SKEWED: f64 = 0.3;
+
+/// By how much the mean posture of a walk may differ from the N-pose about the segment's axes, degrees.
+fn sigma_deg(segment: BodySegment) -> [f64; 3] {
+    use BodySegment as S;
+    match segment {
+        S::Torso | S::Pelvis => [5.0, 8.0, 8.0],
+        S::Head => [8.0, 10.0, 10.0],
+        S::UpperArmR | S::UpperArmL => [10.0, 25.0, 15.0],
+        S::ForearmR | S::ForearmL => [12.0, 30.0, 25.0],
+        S::HandR | S::HandL => [20.0, 35.0, 30.0],
+        S::ThighR | S::ThighL | S::ShankR | S::ShankL => [5.0, 6.0, 10.0],
+        S::FootR | S::FootL => [8.0, 12.0, 15.0],
+    }
+}
+
+/// The axis of a knee in both sensors, and by how much the shank is bent against the thigh on average, rad.
+struct Knee {
+    segments: [BodySegment; 2],
+    axes: [Vector3<f64>; 2],
+    mean_rad: f64,
+}
+
+pub(super) fn calibrate(
+    session: &Session<'_>,
+    block: &Block,
+    skeleton: &Skeleton,
+    offsets_m: &[Option<Vector3<f64>>; SEGMENTS],
+) -> Result<Calibrated, CalibrationError> {
+    if !session.magnetic {
+        let fix = "poses: without magnetometers in all sensors walking does not show it";
+        return Err(CalibrationError::Facing { of: "the body", fix });
+    }
+    let legs = [[BodySegment::ThighR, BodySegment::ShankR], [BodySegment::ThighL, BodySegment::ShankL]];
+    let worn = legs.into_iter().filter(|leg| leg.iter().all(|segment| session.present[segment.index()]));
+    let knees: Vec<Knee> = worn.map(|leg| knee(session, block, leg)).collect::<Result<_, _>>()?;
+    if knees.is_empty() {
+        let fix = "sensors on a thigh and its shank, or poses";
+        return Err(CalibrationError::Facing { of: "the body", fix });
+    }
+    // Which way the body faces at every moment.
+    let nominal = upright() * -Vector3::z();
+    let range = session.range(block);
+    let bodies: Vec<UnitQuaternion<f64>> = range
+        .clone()
+        .map(|k| {
+            let ahead: Vector3<f64> = knees
+                .iter()
+                .map(|knee| forward(&(session.tracks[knee.segments[0].index()][k] * knee.axes[0]), &nominal))
+                .sum();
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), libm::atan2(ahead.y, ahead.x)) * upright()
+        })
+        .collect();
+    let mut out =
+        Calibrated { mounts: [None; SEGMENTS], quality_deg: [None; SEGMENTS], warnings: Vec::new() };
+    for segment in BodySegment::ALL.into_iter().filter(|segment| session.present[segment.index()]) {
+        let index = segment.index();
+        let track = &session.tracks[index][range.clone()];
+        let relative: Vec<_> = bodies.iter().zip(track).map(|(body, q)| body.inverse() * q).collect();
+        // Twice: the mean is taken about the first, which may be far from it.
+        let rough = so3::mean(&relative);
+        let centred: Vec<_> = relative.iter().map(|q| rough.inverse() * q).collect();
+        let mut q_segment_sensor = rough * so3::mean(&centred);
+        let sigma_deg = Vector3::from(sigma_deg(segment));
+        let mut sigma = sigma_deg;
+        if let Some((knee, which)) = knees
+            .iter()
+            .find_map(|knee| Some((knee, knee.segments.iter().position(|known| *known == segment)?)))
+        {
+            // What the knee bends is shared by thigh and shank: forwards the one, backwards the other.
+            let bent = so3::exp(&(Vector3::z() * knee.mean_rad * [-0.5, 0.5][which]));
+            q_segment_sensor = bent * q_segment_sensor;
+            let upright = [Vector3::x(), Vector3::y()].map(|axis| SegmentAxis {
+                sensor: q_segment_sensor.inverse() * axis,
+                segment: axis,
+                sigma_deg: sigma_deg.z,
+            });
+            let hinge = SegmentAxis { sensor: knee.axes[which], segment: -Vector3::z(), sigma_deg: KNEE_DEG };
+            let [ahead, up] = upright;
+            (q_segment_sensor, _) = wahba(&[ahead, up, hinge]);
+            sigma = Vector3::new(KNEE_DEG, KNEE_DEG, sigma_deg.z);
+        }
+        out.mounts[index] = Some(SensorMount {
+            q_segment_sensor,
+            sigma_rad: sigma.map(f64::to_radians),
+            offset_m: offsets_m[index].unwrap_or_else(|| skeleton.usual_sensor_m(segment)),
+            heading_rad: None,
+        });
+    }
+    Ok(out)
+}
+
+/// Of one leg.
+fn knee(session: &Session<'_>, block: &Block, segments: [BodySegment; 2]) -> Result<Knee, CalibrationError> {
+    let [thigh, shank] = segments;
+    let range = session.range(block);
+    let failed = |reason| CalibrationError::Movement {
+        movement: block.kind.name(),
+        start_s: block.start_s,
+        end_s: block.end_s,
+        reason,
+    };
+    let (axes, _) = session.pair(thigh, shank, None, range.clone()).map_err(failed)?;
+    let [Some(mut first), Some(mut second)] = axes else {
+        return Err(failed(Refused::Excitation { found: 0.0, needed: 1.0 }));
+    };
+    let (above, below) =
+        (&session.tracks[thigh.index()][range.clone()], &session.tracks[shank.index()][range]);
+    // From an orientation in the middle of them, so that no angle is beyond half a turn.
+    let middle = above[above.len() / 2].inverse() * below[below.len() / 2];
+    let angle = |(a, b): (&UnitQuaternion<f64>, &UnitQuaternion<f64>)| {
+        so3::log(&(middle.inverse() * (a.inverse() * b))).dot(&second)
+    };
+    let mut angles_rad: Vec<f64> = above.iter().zip(below).map(angle).collect();
+    let count = angles_rad.len() as f64;
+    let mean_rad = angles_rad.iter().sum::<f64>() / count;
+    let moment =
+        |power: i32| angles_rad.iter().map(|angle| (angle - mean_rad).powi(power)).sum::<f64>() / count;
+    let skewness = moment(3) / moment(2).sqrt().powi(3).max(f64::MIN_POSITIVE);
+    if skewness.abs() < SKEWED {
+        return Err(failed(Refused::Excitation { found: skewness.abs(), needed: SKEWED }));
+    }
+    let way = skewness.signum();
+    (first, second) = (first * way, second * way);
+    angles_rad.iter_mut().for_each(|angle| *angle = (*angle - mean_rad) * way);
+    angles_rad.sort_by(f64::total_cmp);
+    let straightest_rad = angles_rad[(STRAIGHTER * (count - 1.0)) as usize];
+    Ok(Knee { segments, axes: [first, second], mean_rad: STRAIGHT_RAD - straightest_rad })
+}

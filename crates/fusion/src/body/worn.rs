@@ -1,0 +1,397 @@
+//! Whether the sensors of arms and legs sit on the segments that they are said to sit on, and whether the body faces the way that its calibration found.
+//!
+//! In: what trunk, limbs, hands and feet measured at one time, and how they were said to sit. Out: [`Verdict`], once movements leave no doubt that it is
+//! otherwise: static poses cannot show it, for who stands upright is nearly his own mirror image. It never guesses: sensors that move alike stay where they are.
+//!
+//! A joint has one acceleration, by whichever of its two segments' sensors it is asked: where both are carried to it they agree, if they sit on these segments. Every
+//! sensor of both arms (or legs) is held against the trunk as the upper segment of either side, and against every other as the lower one; each way of wearing them
+//! costs what its joints disagree by, and one is believed that is better than every other by far. Right and left differ by where they hang on the trunk, once it turns:
+//! that place is estimated with the sensor's own, which nobody knows better than to some centimetres either. Elbows and knees bend one way: where all that bend do so
+//! backwards, the body faces the other way, which is how arms that were swapped make a T-pose look.
+
+use nalgebra::{Matrix3, Matrix3x6, Matrix6, UnitQuaternion, Vector3, Vector6};
+use posed_geometry::so3::lever;
+use posed_state::Plain;
+
+use super::SensorMount;
+use super::joint_angles;
+use super::skeleton::{BodySegment, Limb, SEGMENTS, Skeleton};
+
+/// It looks at samples so far apart, s.
+const PERIOD_S: f64 = 0.05;
+/// And thinks about them so seldom, s.
+const VERDICT_S: f64 = 0.5;
+/// What was seen is forgotten in so long, s.
+const MEMORY_S: f64 = 60.0;
+/// What joints disagree by is one error for so long, s.
+const CORRELATED_S: f64 = 0.5;
+/// A trunk or limb that turns more slowly shows nothing, rad/s.
+const SLOW_RAD_S: f64 = 0.5;
+/// Sensors, places and joints are so good at best, m/s².
+const FLOOR_M_S2: f64 = 0.5;
+/// How well it is known where a sensor sits, and where a limb hangs on the trunk, m.
+const PLACE_M: f64 = 0.03;
+/// Logarithm of the odds from which there is no doubt.
+const SURE: f64 = 15.0;
+/// An elbow or a knee is bent beyond this, rad; for so long at least it was seen to, s, and so many times longer than the other way.
+const BENT_RAD: f64 = 0.6;
+const BENT_S: f64 = 2.0;
+const ONE_WAY: f64 = 10.0;
+
+/// Right and left upper, right and left lower segment of arms and of legs, then what ends them.
+const ARMS: Group = Group {
+    trunk: BodySegment::Torso,
+    limbs: [Limb::ArmR, Limb::ArmL],
+    ends: [BodySegment::HandR, BodySegment::HandL],
+};
+const LEGS: Group = Group {
+    trunk: BodySegment::Pelvis,
+    limbs: [Limb::LegR, Limb::LegL],
+    ends: [BodySegment::FootR, BodySegment::FootL],
+};
+
+/// Two limbs that may be taken for one another.
+#[derive(Clone, Copy)]
+struct Group {
+    trunk: BodySegment,
+    limbs: [Limb; 2],
+    ends: [BodySegment; 2],
+}
+
+impl Group {
+    /// Where the right and the left limb hang on the trunk, from its sensor, m.
+    fn joints_m(&self, skeleton: &Skeleton, mounts: &[Option<SensorMount>; SEGMENTS]) -> [Vector3<f64>; 2] {
+        let trunk_m = mounts[self.trunk.index()].map_or_else(Vector3::zeros, |mount| mount.offset_m);
+        self.limbs.map(|limb| skeleton.joint_in_parent_m(limb.segments()[1]) - trunk_m)
+    }
+
+    /// Right upper, right lower, left upper, left lower.
+    fn segments(&self) -> [BodySegment; 4] {
+        let [_, upper_r, lower_r] = self.limbs[0].segments();
+        let [_, upper_l, lower_l] = self.limbs[1].segments();
+        [upper_r, lower_r, upper_l, lower_l]
+    }
+}
+
+/// What one sensor shows of its segment at one time.
+#[derive(Clone, Copy)]
+pub(super) struct Shown {
+    /// Segment to room, by this sensor alone, as it was said to sit.
+    pub(super) q_room_segment: UnitQuaternion<f64>,
+    /// Segment's axes, rad/s, rad/s², m/s².
+    pub(super) angular_velocity_rad_s: Vector3<f64>,
+    pub(super) accel_rad_s2: Vector3<f64>,
+    pub(super) specific_force_m_s2: Vector3<f64>,
+}
+
+impl Shown {
+    /// Specific force at a point of the segment, relative to the sensor, segment's axes, m: in the room, m/s².
+    fn at(&self, point_m: &Vector3<f64>) -> Vector3<f64> {
+        self.q_room_segment * (self.specific_force_m_s2 + self.lever() * point_m)
+    }
+
+    /// Derivative of the specific force by the place at which it is felt, segment's axes, 1/s².
+    fn lever(&self) -> Matrix3<f64> {
+        lever(&self.angular_velocity_rad_s, &self.accel_rad_s2)
+    }
+
+    /// The same with the room's axes for the force.
+    fn lever_in_room(&self) -> Matrix3<f64> {
+        self.q_room_segment.to_rotation_matrix() * self.lever()
+    }
+}
+
+/// Where sensors sit instead, and whether the body faces the other way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Verdict {
+    /// By segment: the segment that its sensor was said to sit on.
+    pub(super) taken_from: [usize; SEGMENTS],
+    /// All segments are turned by half a turn about their length against what was found.
+    pub(super) faces_back: bool,
+}
+
+/// What is remembered of both limbs: squares of what joints disagree by, m²/s⁴, and how long they bent which way, s.
+#[derive(Clone, Debug, Default, PartialEq, Plain)]
+struct Pair {
+    /// Where each sensor would hang on the trunk.
+    hung: [Hung; 4],
+    /// Of the lower joint of both sides, by the sensor above and the sensor below.
+    lower: [[[f64; 4]; 4]; 2],
+    /// Of the last joint of both sides, by the sensor above and the sensor of the right and the left end.
+    end: [[[f64; 2]; 4]; 2],
+    /// How long it was looked at, s.
+    seen_s: f64,
+    ends_s: f64,
+    /// How long a joint with these sensors above and below was bent forwards and backwards.
+    bent_s: [[[f64; 2]; 4]; 4],
+}
+
+/// Normal equations of where on the trunk a limb hangs, if this sensor sits on its upper segment: unknown are by how much the sensor sits elsewhere, and where the joint
+/// is relative to the trunk's sensor, m.
+#[derive(Clone, Debug, PartialEq, Plain)]
+struct Hung {
+    normal: Matrix6<f64>,
+    right: Vector6<f64>,
+    square: f64,
+}
+
+impl Default for Hung {
+    fn default() -> Self {
+        Self { normal: Matrix6::zeros(), right: Vector6::zeros(), square: 0.0 }
+    }
+}
+
+impl Hung {
+    fn push(&mut self, upper: &Shown, upper_m: &Vector3<f64>, trunk: &Shown, keep: f64, dt_s: f64) {
+        let apart = upper.at(&-upper_m) - trunk.at(&Vector3::zeros());
+        let mut by = Matrix3x6::zeros();
+        by.fixed_columns_mut::<3>(0).copy_from(&-upper.lever_in_room());
+        by.fixed_columns_mut::<3>(3).copy_from(&trunk.lever_in_room());
+        self.normal = self.normal * keep + by.transpose() * by * dt_s;
+        self.right = self.right * keep + by.transpose() * apart * dt_s;
+        self.square = self.square * keep + apart.norm_squared() * dt_s;
+    }
+
+    /// Twice the negative logarithm of the likelihood that it hangs about there, m, but for what is the same wherever it does; of `seen_s`.
+    fn cost(&self, joint_m: &Vector3<f64>, seen_s: f64) -> f64 {
+        let known = PLACE_M.powi(-2);
+        let mut expected = Vector6::zeros();
+        expected.fixed_rows_mut::<3>(3).copy_from(joint_m);
+        // What the best place leaves is the noise, but it is no better than the floor.
+        let mut variance = FLOOR_M_S2 * FLOOR_M_S2;
+        let mut cost = 0.0;
+        for _ in 0..2 {
+            let scale = 1.0 / (variance * CORRELATED_S);
+            let information = self.normal * scale + Matrix6::identity() * known;
+            let toward = self.right * scale + expected * known;
+            let Some(best) = information.cholesky().map(|c| c.solve(&toward)) else { return 0.0 };
+            let left = self.square - 2.0 * self.right.dot(&best) + best.dot(&(self.normal * best));
+            cost = left * scale + (best - expected).norm_squared() * known;
+            variance = variance.max(left / seen_s.max(1e-9));
+        }
+        cost + 3.0 * seen_s / CORRELATED_S * libm::log(variance)
+    }
+}
+
+/// The evidence of one body.
+#[derive(Clone, Debug, Default, PartialEq, Plain)]
+pub(super) struct Worn {
+    arms: Pair,
+    legs: Pair,
+    since_s: f64,
+    asked_s: f64,
+}
+
+impl Worn {
+    /// Whether the samples of this time, `dt_s` after the last, are looked at.
+    pub(super) fn is_due(&mut self, dt_s: f64) -> bool {
+        self.since_s += dt_s;
+        self.since_s >= PERIOD_S
+    }
+
+    /// Takes what the sensors show; [`Self::is_due`] has said that it is time.
+    pub(super) fn push(
+        &mut self,
+        shown: &[Option<Shown>; SEGMENTS],
+        mounts: &[Option<SensorMount>; SEGMENTS],
+        skeleton: &Skeleton,
+    ) {
+        let dt_s = std::mem::replace(&mut self.since_s, 0.0);
+        self.asked_s += dt_s;
+        self.arms.push(&ARMS, shown, mounts, skeleton, dt_s);
+        self.legs.push(&LEGS, shown, mounts, skeleton, dt_s);
+    }
+
+    /// Of arms and legs: the logarithm of the odds of the best order against the second best, and the best one.
+    #[cfg(test)]
+    pub(super) fn odds(
+        &self,
+        skeleton: &Skeleton,
+        mounts: &[Option<SensorMount>; SEGMENTS],
+    ) -> [(f64, Order); 2] {
+        [(&self.arms, &ARMS), (&self.legs, &LEGS)]
+            .map(|(pair, group)| pair.best(&group.joints_m(skeleton, mounts)))
+    }
+
+    /// What movements have shown; `None` where all is as it was said, or nothing says otherwise for certain.
+    pub(super) fn verdict(
+        &mut self,
+        skeleton: &Skeleton,
+        mounts: &[Option<SensorMount>; SEGMENTS],
+    ) -> Option<Verdict> {
+        if self.asked_s < VERDICT_S {
+            return None;
+        }
+        self.asked_s = 0.0;
+        let groups = [(ARMS, &self.arms), (LEGS, &self.legs)].map(|(group, pair)| {
+            let (log_odds, order) = pair.best(&group.joints_m(skeleton, mounts));
+            (group, pair, Some(order).filter(|_| log_odds > SURE))
+        });
+        let bends = groups.each_ref().map(|(_, pair, order)| pair.bends(order.unwrap_or(AS_SAID).limbs));
+        let count = |way: Bends| bends.iter().flatten().filter(|bends| **bends == way).count();
+        let faces_back = count(Bends::Back) >= 2 && count(Bends::Fore) == 0;
+        let mut taken_from: [usize; SEGMENTS] = std::array::from_fn(|index| index);
+        for (group, _, order) in groups {
+            let Order { limbs, ends } = match (order, faces_back) {
+                (order, false) => order.unwrap_or(AS_SAID),
+                // What hangs on the right of somebody who faces the other way hangs on the left.
+                (Some(order), true) => order.other_way_round(),
+                // A body faces the way that its arms are raised.
+                (None, true) if group.trunk == BodySegment::Torso => AS_SAID.other_way_round(),
+                (None, true) => AS_SAID,
+            };
+            let segments = group.segments();
+            for (segment, sensor) in segments.iter().zip(limbs) {
+                taken_from[segment.index()] = segments[sensor].index();
+            }
+            for (end, sensor) in group.ends.iter().zip(ends) {
+                taken_from[end.index()] = group.ends[sensor].index();
+            }
+        }
+        let as_said = taken_from.iter().enumerate().all(|(segment, from)| segment == *from);
+        (faces_back || !as_said).then_some(Verdict { taken_from, faces_back })
+    }
+}
+
+/// Which way a joint bends.
+#[derive(Clone, Copy, PartialEq)]
+enum Bends {
+    Fore,
+    Back,
+    Unknown,
+}
+
+/// Which sensor sits on the right upper, right lower, left upper and left lower segment, and on the right and the left end; each by where it was said to sit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Order {
+    limbs: [usize; 4],
+    ends: [usize; 2],
+}
+
+const AS_SAID: Order = Order { limbs: [0, 1, 2, 3], ends: [0, 1] };
+
+impl Order {
+    /// All there are.
+    fn all() -> impl Iterator<Item = Self> {
+        let limbs = (0..256).map(|code| [code & 3, code >> 2 & 3, code >> 4 & 3, code >> 6 & 3]);
+        let each_once = limbs.filter(|limbs| (0..4).all(|sensor| limbs.contains(&sensor)));
+        each_once.flat_map(|limbs| [[0, 1], [1, 0]].map(|ends| Self { limbs, ends }))
+    }
+
+    /// With right and left exchanged.
+    fn other_way_round(self) -> Self {
+        let [a, b, c, d] = self.limbs;
+        Self { limbs: [c, d, a, b], ends: [self.ends[1], self.ends[0]] }
+    }
+}
+
+impl Pair {
+    fn push(
+        &mut self,
+        group: &Group,
+        shown: &[Option<Shown>; SEGMENTS],
+        mounts: &[Option<SensorMount>; SEGMENTS],
+        skeleton: &Skeleton,
+        dt_s: f64,
+    ) {
+        let segments = group.segments();
+        let of = |segment: BodySegment| Some((shown[segment.index()]?, mounts[segment.index()]?.offset_m));
+        let Some((trunk, _)) = of(group.trunk) else { return };
+        let [Some(a), Some(b), Some(c), Some(d)] = segments.map(of) else { return };
+        let worn = [a, b, c, d];
+        let turns = |shown: &Shown| shown.angular_velocity_rad_s.norm() > SLOW_RAD_S;
+        if !worn.iter().any(|(shown, _)| turns(shown)) {
+            return;
+        }
+        // Where a sensor would be carried to if it sat where the one of this segment is said to sit.
+        let near = |segment: usize, sensor: usize| worn[sensor].0.at(&-worn[segment].1);
+        let far = |segment: usize, sensor: usize| {
+            worn[sensor].0.at(&(skeleton.end_in_segment_m(segments[segment]) - worn[segment].1))
+        };
+        let keep = 1.0 - dt_s / MEMORY_S;
+        for (sensor, hung) in self.hung.iter_mut().enumerate() {
+            // Upper segments come first on each side.
+            hung.push(&worn[sensor].0, &worn[sensor & 2].1, &trunk, keep, dt_s);
+        }
+        let add = |sum: &mut f64, apart: Vector3<f64>| *sum = *sum * keep + apart.norm_squared() * dt_s;
+        self.seen_s = self.seen_s * keep + dt_s;
+        for side in 0..2 {
+            let (upper, lower) = (2 * side, 2 * side + 1);
+            let below: [Vector3<f64>; 4] = std::array::from_fn(|sensor| near(lower, sensor));
+            for sensor in 0..4 {
+                let above = far(upper, sensor);
+                for (sum, below) in self.lower[side][sensor].iter_mut().zip(&below) {
+                    add(sum, above - below);
+                }
+            }
+        }
+        if let [Some((right, right_m)), Some((left, left_m))] = group.ends.map(of) {
+            self.ends_s = self.ends_s * keep + dt_s;
+            for (side, end_m) in [right_m, left_m].into_iter().enumerate() {
+                let ends = [right.at(&-end_m), left.at(&-end_m)];
+                for sensor in 0..4 {
+                    let above = far(2 * side + 1, sensor);
+                    for (sum, end) in self.end[side][sensor].iter_mut().zip(&ends) {
+                        add(sum, above - end);
+                    }
+                }
+            }
+        }
+        for above in 0..4 {
+            for below in (0..4).filter(|below| *below != above) {
+                let rotation = worn[above].0.q_room_segment.inverse() * worn[below].0.q_room_segment;
+                let [flexion_rad, ..] = joint_angles(segments[1], &rotation);
+                for (sum, bent) in self.bent_s[above][below]
+                    .iter_mut()
+                    .zip([flexion_rad > BENT_RAD, flexion_rad < -BENT_RAD])
+                {
+                    *sum = *sum * keep + if bent { dt_s } else { 0.0 };
+                }
+            }
+        }
+    }
+
+    /// Twice the negative logarithm of the likelihood of an order, but for what is the same for all.
+    fn cost(&self, joints_m: &[Vector3<f64>; 2], Order { limbs: [a, b, c, d], ends: [e, f] }: Order) -> f64 {
+        // Disagreements whose size nobody knows, but that joints, places and sensors are no better than the floor.
+        let apart = |square: f64, seen_s: f64| {
+            let variance = square / seen_s.max(1e-9) + FLOOR_M_S2 * FLOOR_M_S2;
+            3.0 * seen_s / CORRELATED_S * libm::log(variance)
+        };
+        self.hung[a].cost(&joints_m[0], self.seen_s)
+            + self.hung[c].cost(&joints_m[1], self.seen_s)
+            + apart(self.lower[0][a][b], self.seen_s)
+            + apart(self.lower[1][c][d], self.seen_s)
+            + apart(self.end[0][b][e], self.ends_s)
+            + apart(self.end[1][d][f], self.ends_s)
+    }
+
+    /// The best order, and the logarithm of its odds against the second best; `joints_m` are where the right and the left limb hang on the trunk, from its sensor.
+    fn best(&self, joints_m: &[Vector3<f64>; 2]) -> (f64, Order) {
+        let mut best = (f64::INFINITY, AS_SAID);
+        let mut second = f64::INFINITY;
+        for order in Order::all().filter(|order| self.ends_s > 0.0 || order.ends == AS_SAID.ends) {
+            let cost = self.cost(joints_m, order);
+            if cost < best.0 {
+                second = std::mem::replace(&mut best, (cost, order)).0;
+            } else {
+                second = second.min(cost);
+            }
+        }
+        (0.5 * (second - best.0), best.1)
+    }
+
+    /// Which way the joints of both limbs bend, where the sensors sit in this order.
+    fn bends(&self, [a, b, c, d]: [usize; 4]) -> [Bends; 2] {
+        [[a, b], [c, d]].map(|[above, below]| {
+            let [fore_s, back_s] = self.bent_s[above][below];
+            if fore_s > BENT_S && fore_s > ONE_WAY * back_s {
+                Bends::Fore
+            } else if back_s > BENT_S && back_s > ONE_WAY * fore_s {
+                Bends::Back
+            } else {
+                Bends::Unknown
+            }
+        })
+    }
+}
