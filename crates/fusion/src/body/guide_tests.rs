@@ -181,3 +181,20 @@ fn nothing_goes_on_while_a_sensor_is_silent() {
     }
     assert_eq!((guide.prompt(), guide.objection().0), (None, 0));
 }
+
+/// Who is asked for no pose walks, and is done after twenty seconds of it.
+#[test]
+fn who_walks_needs_no_pose() {
+    let mut wearer = Wearer::new(WearerSpec { rate_hz: 50.0, ..spec(ahead(Activity::Strolling), 3) });
+    let mut guide = Guide::new([true; SEGMENTS], true, Thoroughness::Movement);
+    assert!(guide.prompt().is_some_and(|prompt| prompt.starts_with("Walk about")), "{:?}", guide.prompt());
+    record(&mut wearer, 30.0).0.iter().for_each(|(t_s, samples)| guide.push(*t_s, samples));
+    assert_eq!((guide.prompt(), guide.objection()), (None, (0, None)));
+    let (recording, blocks) = guide.recorded();
+    let found = calibrate(recording, blocks, &Skeleton::from_height(1.8), &[None; SEGMENTS]).unwrap();
+    for segment in [BodySegment::Pelvis, BodySegment::ThighR, BodySegment::ThighL, BodySegment::ShankR] {
+        let mount = found.mounts[segment.index()].unwrap().q_segment_sensor;
+        let off_deg = mount.angle_to(&wearer.mounting(segment.index()).0).to_degrees();
+        assert!(off_deg < 12.0, "{segment:?}: {off_deg}");
+    }
+}

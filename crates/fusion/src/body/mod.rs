@@ -494,12 +494,6 @@ impl BodyFilter {
         }
     }
 
-    #[cfg(test)]
-    fn worn_odds(&self) -> [(f64, worn::Order); 2] {
-        let began = self.sensors.each_ref().map(|sensor| sensor.as_ref().map(|sensor| sensor.began));
-        self.worn.odds(&self.skeleton, &began)
-    }
-
     /// Sensors sit where movements have shown, as they were found to sit by poses: in those all segments stand alike.
     fn reseat(&mut self, verdict: &Verdict) {
         let before = std::mem::take(&mut self.sensors);

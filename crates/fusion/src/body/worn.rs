@@ -202,17 +202,6 @@ impl Worn {
         self.legs.push(&LEGS, shown, mounts, skeleton, dt_s);
     }
 
-    /// Of arms and legs: the logarithm of the odds of the best order against the second best, and the best one.
-    #[cfg(test)]
-    pub(super) fn odds(
-        &self,
-        skeleton: &Skeleton,
-        mounts: &[Option<SensorMount>; SEGMENTS],
-    ) -> [(f64, Order); 2] {
-        [(&self.arms, &ARMS), (&self.legs, &LEGS)]
-            .map(|(pair, group)| pair.best(&group.joints_m(skeleton, mounts)))
-    }
-
     /// What movements have shown; `None` where all is as it was said, or nothing says otherwise for certain.
     pub(super) fn verdict(
         &mut self,
@@ -223,23 +212,25 @@ impl Worn {
             return None;
         }
         self.asked_s = 0.0;
-        let groups = [(ARMS, &self.arms), (LEGS, &self.legs)].map(|(group, pair)| {
-            let (log_odds, order) = pair.best(&group.joints_m(skeleton, mounts));
-            (group, pair, Some(order).filter(|_| log_odds > SURE))
-        });
-        let bends = groups.each_ref().map(|(_, pair, order)| pair.bends(order.unwrap_or(AS_SAID).limbs));
+        let groups = [(ARMS, &self.arms), (LEGS, &self.legs)]
+            .map(|(group, pair)| (group, pair, pair.costs(&group.joints_m(skeleton, mounts))));
+        let bends = groups
+            .each_ref()
+            .map(|(_, pair, costs)| pair.bends(fewest(costs, Order::displaced).unwrap_or(AS_SAID).limbs));
         let count = |way: Bends| bends.iter().flatten().filter(|bends| **bends == way).count();
         let faces_back = count(Bends::Back) >= 2 && count(Bends::Fore) == 0;
         let mut taken_from: [usize; SEGMENTS] = std::array::from_fn(|index| index);
-        for (group, _, order) in groups {
-            let Order { limbs, ends } = match (order, faces_back) {
-                (order, false) => order.unwrap_or(AS_SAID),
-                // What hangs on the right of somebody who faces the other way hangs on the left.
-                (Some(order), true) => order.other_way_round(),
-                // A body faces the way that its arms are raised.
-                (None, true) if group.trunk == BodySegment::Torso => AS_SAID.other_way_round(),
-                (None, true) => AS_SAID,
+        for (group, _, costs) in groups {
+            // What hangs on the right of somebody who faces the other way hangs on the left. A body was found to face the way in which its arms were raised.
+            let by_arms = group.trunk == BodySegment::Torso;
+            let order = match faces_back {
+                false => fewest(&costs, Order::displaced),
+                true if by_arms => fewest(&costs, Order::displaced).map(Order::other_way_round),
+                true => {
+                    fewest(&costs, |order| order.other_way_round().displaced()).map(Order::other_way_round)
+                }
             };
+            let Order { limbs, ends } = order.unwrap_or(AS_SAID);
             let segments = group.segments();
             for (segment, sensor) in segments.iter().zip(limbs) {
                 taken_from[segment.index()] = segments[sensor].index();
@@ -251,6 +242,23 @@ impl Worn {
         let as_said = taken_from.iter().enumerate().all(|(segment, from)| segment == *from);
         (faces_back || !as_said).then_some(Verdict { taken_from, faces_back })
     }
+}
+
+/// Of all orders that may be the right one, because none is better by far, that with the fewest sensors somewhere else; `None` where two have as few.
+fn fewest(costs: &[f64; ORDERS], displaced: impl Fn(Order) -> usize) -> Option<Order> {
+    let best = costs.iter().copied().fold(f64::INFINITY, f64::min);
+    let mut likely = Order::all().zip(costs).filter(|(_, cost)| **cost - best <= 2.0 * SURE);
+    let (first, _) = likely.next()?;
+    let mut found = (displaced(first), Some(first));
+    for (order, _) in likely {
+        let count = displaced(order);
+        if count < found.0 {
+            found = (count, Some(order));
+        } else if count == found.0 {
+            found.1 = None;
+        }
+    }
+    found.1
 }
 
 /// Which way a joint bends.
@@ -269,6 +277,8 @@ pub(super) struct Order {
 }
 
 const AS_SAID: Order = Order { limbs: [0, 1, 2, 3], ends: [0, 1] };
+/// How many orders there are.
+const ORDERS: usize = 48;
 
 impl Order {
     /// All there are.
@@ -276,6 +286,13 @@ impl Order {
         let limbs = (0..256).map(|code| [code & 3, code >> 2 & 3, code >> 4 & 3, code >> 6 & 3]);
         let each_once = limbs.filter(|limbs| (0..4).all(|sensor| limbs.contains(&sensor)));
         each_once.flat_map(|limbs| [[0, 1], [1, 0]].map(|ends| Self { limbs, ends }))
+    }
+
+    /// How many sensors sit somewhere else than was said.
+    fn displaced(self) -> usize {
+        let elsewhere =
+            |sensors: &[usize]| sensors.iter().enumerate().filter(|(at, sensor)| at != *sensor).count();
+        elsewhere(&self.limbs) + elsewhere(&self.ends)
     }
 
     /// With right and left exchanged.
@@ -351,34 +368,25 @@ impl Pair {
         }
     }
 
-    /// Twice the negative logarithm of the likelihood of an order, but for what is the same for all.
-    fn cost(&self, joints_m: &[Vector3<f64>; 2], Order { limbs: [a, b, c, d], ends: [e, f] }: Order) -> f64 {
+    /// Twice the negative logarithm of the likelihood of every order, but for what is the same for all; `joints_m` are where the right and the left limb hang on the
+    /// trunk, from its sensor.
+    fn costs(&self, joints_m: &[Vector3<f64>; 2]) -> [f64; ORDERS] {
         // Disagreements whose size nobody knows, but that joints, places and sensors are no better than the floor.
         let apart = |square: f64, seen_s: f64| {
             let variance = square / seen_s.max(1e-9) + FLOOR_M_S2 * FLOOR_M_S2;
             3.0 * seen_s / CORRELATED_S * libm::log(variance)
         };
-        self.hung[a].cost(&joints_m[0], self.seen_s)
-            + self.hung[c].cost(&joints_m[1], self.seen_s)
-            + apart(self.lower[0][a][b], self.seen_s)
-            + apart(self.lower[1][c][d], self.seen_s)
-            + apart(self.end[0][b][e], self.ends_s)
-            + apart(self.end[1][d][f], self.ends_s)
-    }
-
-    /// The best order, and the logarithm of its odds against the second best; `joints_m` are where the right and the left limb hang on the trunk, from its sensor.
-    fn best(&self, joints_m: &[Vector3<f64>; 2]) -> (f64, Order) {
-        let mut best = (f64::INFINITY, AS_SAID);
-        let mut second = f64::INFINITY;
-        for order in Order::all().filter(|order| self.ends_s > 0.0 || order.ends == AS_SAID.ends) {
-            let cost = self.cost(joints_m, order);
-            if cost < best.0 {
-                second = std::mem::replace(&mut best, (cost, order)).0;
-            } else {
-                second = second.min(cost);
-            }
+        let hung = joints_m.map(|joint_m| self.hung.each_ref().map(|hung| hung.cost(&joint_m, self.seen_s)));
+        let mut costs = [f64::INFINITY; ORDERS];
+        for (sum, Order { limbs: [a, b, c, d], ends: [e, f] }) in costs.iter_mut().zip(Order::all()) {
+            *sum = hung[0][a]
+                + hung[1][c]
+                + apart(self.lower[0][a][b], self.seen_s)
+                + apart(self.lower[1][c][d], self.seen_s)
+                + apart(self.end[0][b][e], self.ends_s)
+                + apart(self.end[1][d][f], self.ends_s);
         }
-        (0.5 * (second - best.0), best.1)
+        costs
     }
 
     /// Which way the joints of both limbs bend, where the sensors sit in this order.

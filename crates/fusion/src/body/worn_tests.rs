@@ -77,26 +77,3 @@ fn whoever_wears_them_as_said_hears_nothing() {
         assert!(worst_deg(&filter, &wearer, &[]) < 12.0);
     }
 }
-
-/// All activities and swaps, several people: `cargo test -p posed-fusion --release --lib -- --ignored swaps --nocapture`.
-#[test]
-#[ignore = "a table, minutes"]
-fn swaps_table() {
-    let activities =
-        [Activity::Walking, Activity::Strolling, Activity::Reaching, Activity::Curls, Activity::Squats];
-    let swaps: [(&str, Pairs); 6] =
-        [("none", &[]), ("arms", ARMS), ("legs", LEGS), ("shanks", SHANKS), ("arm", ARM), ("leg", LEG)];
-    for (name, swapped) in swaps {
-        for activity in activities {
-            for seed in 1..=3 {
-                let (filter, wearer, said_s) = walked(swapped, activity, seed);
-                let off_deg = worst_deg(&filter, &wearer, swapped);
-                println!(
-                    "{name} {activity:?} {seed}: {said_s:?} {off_deg:.1} {:?} {:?}",
-                    filter.worn_odds(),
-                    filter.estimate().faults.iter().flatten().next()
-                );
-            }
-        }
-    }
-}
