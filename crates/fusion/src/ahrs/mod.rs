@@ -343,6 +343,11 @@ impl Ahrs {
         rotation.transpose() * level * rotation
     }
 
+    /// Standard deviation of the gyro's bias about the vertical, rad/s: so fast a heading that no field tells may drift.
+    pub fn heading_rate_sigma_rad_s(&self) -> f64 {
+        self.inclination.bias_sigma_rad_s(&(self.q_level_sensor.inverse() * Vector3::z()))
+    }
+
     /// Estimated gyro bias, rad/s, sensor axes; what is known of it at first: standard deviation
     /// [`InclinationParams::bias_initial_rad_s`].
     pub fn bias_rad_s(&self) -> Vector3<f64> {
@@ -396,8 +401,8 @@ impl Ahrs {
         }
     }
 
-    /// The rest of the gyro's bias, where the sensor lies still for certain.
-    fn rest_gyro_rad_s(&mut self) -> Option<Vector3<f64>> {
+    /// Whether the sensor lies still for certain, and then the bias that a part of the rest has shown which is over by long enough.
+    fn rests(&mut self) -> (bool, Option<Vector3<f64>>) {
         let gyro = self.rest.gyro_rad_s();
         let bias_rad_s = self.inclination.bias_rad_s();
         let steady = self.rest.at_rest() && self.rest.holds_steady(&self.params.rest, &bias_rad_s);
@@ -409,17 +414,18 @@ impl Ahrs {
             self.inclination.forget_bias(&self.params.inclination);
             self.heading.resume(&self.params.heading);
             self.rest = rest::Rest::default();
-            return None;
+            return (false, None);
         }
-        let rests = self.rest.at_rest() && (credible || self.rest.still_s() > self.params.rest.certain_s);
+        let rests = steady && (credible || self.rest.still_s() > self.params.rest.certain_s);
         self.rested |= rests;
-        rests.then_some(gyro)
+        let shown = self.rest.shown_rad_s().filter(|_| rests);
+        (rests, shown)
     }
 
     /// Runs the filters over the window; returns what the tilt receives, and the tilt that was applied.
     fn close_window(&mut self) -> (inclination::SpecificForceWindow, Vector2<f64>) {
         let w = std::mem::take(&mut self.window);
-        let rest_gyro_rad_s = self.rest_gyro_rad_s();
+        let (at_rest, rest_gyro_rad_s) = self.rests();
         let up = w.rotation_s.row(2).transpose() / w.duration_s;
         let bias_sigma_rad_s = self.inclination.bias_sigma_rad_s(&up);
         let specific_force = inclination::SpecificForceWindow {
@@ -429,6 +435,8 @@ impl Ahrs {
             shaking: w.shaking,
             turned_rad: w.turned_rad,
             bridged_rad2: w.bridged_rad2,
+            has_field: self.heading.begun(),
+            at_rest,
             rest_gyro_rad_s,
         };
         if w.mag_samples > 0 {
@@ -447,7 +455,7 @@ impl Ahrs {
                     turned_rad: w.turned_rad,
                     bridged_rad2: w.bridged_rad2,
                     bias_sigma_rad_s,
-                    at_rest: rest_gyro_rad_s.is_some(),
+                    at_rest,
                 },
             );
         } else {

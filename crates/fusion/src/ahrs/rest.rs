@@ -51,6 +51,11 @@ const NOISE_SHARE: f64 = 0.3;
 /// Change of the low-passed gyro that may be its noise, rad/s, some 0.3 degrees a second.
 const STEADY_RAD_S: f64 = 5e-3;
 
+/// The gyro's mean over so long, s, counts when the rest has lasted for as long as this many of them after it: a movement that begins slowly is
+/// not seen at once, and would be taken for a bias.
+const BLOCK_S: f64 = 0.5;
+const BLOCKS: usize = 2;
+
 /// State of the detector.
 #[derive(Clone, Debug, Default, PartialEq, Plain)]
 pub(super) struct Rest {
@@ -63,6 +68,10 @@ pub(super) struct Rest {
     /// The same with an angular velocity that only a factory's bias could explain.
     steady_s: f64,
     at_rest: bool,
+    /// Integral of the gyro over the running block, rad, and its length, s; means of those before it, the oldest first.
+    block: (Vector3<f64>, f64),
+    blocks_rad_s: [Option<Vector3<f64>>; BLOCKS],
+    shown_rad_s: Option<Vector3<f64>>,
 }
 
 /// What there was when the low-passes had settled.
@@ -96,6 +105,7 @@ impl Rest {
         let still = !moving && angular_velocity_rad_s.amax() <= params.bias_clip_rad_s;
         self.still_s = if still { self.still_s + dt_s } else { 0.0 };
         self.at_rest = self.still_s >= params.min_s;
+        self.collect(params, gyro, dt_s);
         self.reference = match self.reference.take() {
             _ if self.steady_s < params.tau_s => None,
             None => Some(RestReference {
@@ -110,6 +120,27 @@ impl Rest {
                 ..reference
             }),
         };
+    }
+
+    /// Means of the gyro over the blocks of a rest, once it has settled.
+    fn collect(&mut self, params: &RestParams, gyro: Vector3<f64>, dt_s: f64) {
+        if self.still_s < params.tau_s {
+            (self.block, self.blocks_rad_s, self.shown_rad_s) = Default::default();
+            return;
+        }
+        self.block.0 += gyro * dt_s;
+        self.block.1 += dt_s;
+        if self.block.1 >= BLOCK_S {
+            let (turned_rad, block_s) = std::mem::take(&mut self.block);
+            self.shown_rad_s = self.blocks_rad_s[0];
+            self.blocks_rad_s.rotate_left(1);
+            self.blocks_rad_s[BLOCKS - 1] = Some(turned_rad / block_s);
+        }
+    }
+
+    /// The gyro's mean over a part of the rest that has lasted long enough after it, rad/s: each part once.
+    pub(super) fn shown_rad_s(&mut self) -> Option<Vector3<f64>> {
+        self.shown_rad_s.take()
     }
 
     /// Whether what the gyro reads beyond a bias of `bias_rad_s` has stayed as it is, as a bias does, while gravity stayed where it

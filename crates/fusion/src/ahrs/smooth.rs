@@ -188,6 +188,8 @@ mod tests {
             shaking: 0.0,
             turned_rad: 0.0,
             bridged_rad2: 0.0,
+            has_field: false,
+            at_rest: false,
             rest_gyro_rad_s: None,
         };
         let mut state = Inclination::new(&params);

@@ -281,6 +281,49 @@ fn without_a_magnetometer_only_the_heading_drifts() {
     assert!(worst < 1.0, "{worst} degrees");
 }
 
+/// A sensor without a field, at rest for `rest_s`, s, then turned as `turned` says, rad, and moved, m; its bias about the vertical, rad/s.
+fn bias_about_up(
+    rest_s: f64,
+    seconds: f64,
+    turned: impl Fn(f64) -> UnitQuaternion<f64>,
+    position_m: impl Fn(f64) -> Vector3<f64>,
+) -> f64 {
+    const H: f64 = 1e-3;
+    let mut random = Random::new(3);
+    let mut ahrs = Ahrs::new(Params::instantaneous());
+    for k in 0..((rest_s + seconds) * RATE_HZ) as usize {
+        let t = k as f64 / RATE_HZ - rest_s;
+        let (turned, position_m) = (|t: f64| turned(t.max(0.0)), |t: f64| position_m(t.max(0.0)));
+        let gyro_rad_s = so3::log(&(turned(t - H).inverse() * turned(t + H))) / (2.0 * H);
+        let accel = (position_m(t + H) + position_m(t - H) - position_m(t) * 2.0) / (H * H);
+        let accel_m_s2 = turned(t).inverse() * (accel + Vector3::z() * GRAVITY_M_S2);
+        let noise = random.vector() * 1e-3;
+        ahrs.push(&ImuSample { gyro_rad_s: gyro_rad_s + noise, accel_m_s2, mag: None }, 1.0 / RATE_HZ);
+    }
+    (ahrs.orientation_6d() * ahrs.bias_rad_s()).z
+}
+
+/// From rest into a slow turn, which the detector of rests sees a while later.
+#[test]
+fn the_slow_beginning_of_a_turn_is_no_bias() {
+    let turned = |t: f64| so3::exp(&Vector3::new(0.0, 0.0, 0.004 * t * t * t));
+    for rest_s in [20.0, 60.0] {
+        let bias = bias_about_up(rest_s, 4.0, turned, |_| Vector3::zeros()).to_degrees();
+        assert!(bias.abs() < 0.01, "{bias} degrees/s after {rest_s} s");
+    }
+}
+
+/// Who walks sways with every step of a leg that swings; a bias about the vertical would show in the same way.
+#[test]
+fn a_sway_in_step_with_a_swing_is_no_bias() {
+    let omega = std::f64::consts::TAU * 0.45;
+    let begins = |t: f64| 1.0 - libm::exp(-t * t);
+    let turned = |t: f64| so3::exp(&Vector3::new(0.6 * begins(t) * libm::sin(omega * t), 0.0, 0.0));
+    let sway = |t: f64| Vector3::x() * (0.2 / omega * begins(t) * libm::cos(omega * t));
+    let bias = bias_about_up(20.0, 120.0, turned, sway).to_degrees();
+    assert!(bias.abs() < 0.01, "{bias} degrees/s");
+}
+
 #[test]
 fn numbers_that_are_none_change_nothing_but_a_count() {
     let (mut ahrs, mut simulation) = warmed(1.0);
