@@ -1,5 +1,6 @@
 //! How well a simulated body is solved, and what it costs: the tables of `docs/body.md`. `cargo bench --bench body`, with a case or an activity for its rows
 
+mod compass;
 mod deceit;
 mod few;
 mod learnt;
@@ -363,6 +364,9 @@ fn main() {
     }
     if only.as_ref().is_none_or(|only| "travel".contains(only.as_str())) {
         travel::table();
+    }
+    if only.as_ref().is_none_or(|only| "compass".contains(only.as_str())) {
+        compass::table(std::env::args().nth(2).as_deref());
     }
     if only.as_ref().is_none_or(|only| "deceit".contains(only.as_str())) {
         deceit::table();

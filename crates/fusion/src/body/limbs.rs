@@ -230,6 +230,11 @@ impl LimbFilter {
         self.filter = Filter::Waiting;
     }
 
+    /// Turns it against the trunk, `rotation` in the trunk's axes.
+    pub(super) fn turn(&mut self, rotation: &UnitQuaternion<f64>) {
+        with_limb!(&mut self.filter, (), limb => limb.turn(rotation));
+    }
+
     /// Whether both sensors, by a field that is believed, say otherwise than the limb.
     fn is_astray(
         &self,

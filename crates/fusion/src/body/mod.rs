@@ -36,6 +36,9 @@ mod inverse;
 mod learnt_tests;
 mod legs;
 mod limbs;
+mod links;
+#[cfg(test)]
+mod links_tests;
 mod places;
 mod posture;
 mod skeleton;
@@ -78,6 +81,7 @@ use super::limb::{Base, LimbNoise};
 use health::Watch;
 use infer::Inference;
 use limbs::LimbFilter;
+use links::Links;
 use posed_geometry::{GRAVITY_M_S2, so3};
 use travel::TravelFilter;
 use worn::{Shown, Verdict, Worn};
@@ -90,7 +94,7 @@ pub type BodySamples = [Option<ImuSample>; SEGMENTS];
 const AHEAD_RAD: f64 = 0.05;
 /// Without a sample for so long the last rate goes on, s; then the segment holds still.
 const HOLD_S: f64 = 0.1;
-/// Rate at which a heading drifts that the gyro holds, rad/s.
+/// Rate at which a heading drifts that the gyro holds where the field is not believed, rad/s.
 const DRIFT_RAD_S: f64 = 3e-4;
 /// After so long the sensor may have been turned, s.
 const AWAY_S: f64 = 0.5;
@@ -253,8 +257,6 @@ struct Sensor {
     magnetometer: bool,
     /// From its level frame to the room, where it has no magnetometer.
     heading: UnitQuaternion<f64>,
-    /// By how much it was wrong when somebody asserted it last, rad; 0: nobody has.
-    asserted_rad: f64,
     watch: Watch,
 }
 
@@ -285,6 +287,7 @@ pub struct BodyFilter {
     worn: Worn,
     /// Under which segment the samples of each segment's sensor are pushed: another one where two were swapped.
     taken_from: [usize; SEGMENTS],
+    links: Links,
     estimate: BodyEstimate,
 }
 
@@ -303,7 +306,6 @@ impl BodyFilter {
             patience_s: 0.0,
             magnetometer: false,
             heading: UnitQuaternion::identity(),
-            asserted_rad: 0.0,
             watch: Watch::default(),
         };
         Self {
@@ -318,6 +320,7 @@ impl BodyFilter {
             heading_anchored: false,
             worn: Worn::default(),
             taken_from: std::array::from_fn(|index| index),
+            links: Links::default(),
             estimate: BodyEstimate::default(),
         }
     }
@@ -421,6 +424,7 @@ impl BodyFilter {
             }
         }
         self.publish(&orientations, &bases, dt_s);
+        self.link(samples, dt_s);
         self.resize();
         self.unanchored_s += dt_s;
         let heading_rad = self.estimate.heading_sigma_rad;
@@ -449,6 +453,7 @@ impl BodyFilter {
         for segment in BodySegment::ALL.into_iter().filter(|segment| meant(*segment)) {
             if let (true, Some(sensor)) = (self.drifts(segment), &mut self.sensors[segment.index()]) {
                 sensor.look(heading_rad);
+                self.links.assert(segment);
                 done = true;
             }
         }
@@ -511,6 +516,7 @@ impl BodyFilter {
         self.last_motions = [None; 2];
         self.turns_rad_s = [None; SEGMENTS];
         self.worn = Worn::default();
+        self.links = Links::default();
     }
 
     /// The latest estimate; nothing known before the first [`Self::push`].
@@ -555,7 +561,7 @@ impl BodyFilter {
         for alone in [BodySegment::Torso, BodySegment::Pelvis].into_iter().chain(BodySegment::EXTREMITIES) {
             out.orientations[alone.index()] = own[alone.index()];
             if let Some(sensor) = &self.sensors[alone.index()] {
-                out.sigma_rad[alone.index()] = sensor.systematic_rad(self.held_s);
+                out.sigma_rad[alone.index()] = sensor.systematic_rad(self.held_s, self.links.rad2(alone));
             }
         }
         let spreads = self.limbs.each_ref().map(LimbFilter::spread);
@@ -568,7 +574,7 @@ impl BodyFilter {
                     // By its own sensor alone, if any.
                     out.orientations[segment.index()] = own[segment.index()];
                     if let Some(sensor) = &self.sensors[segment.index()] {
-                        out.sigma_rad[segment.index()] = sensor.systematic_rad(self.held_s);
+                        out.sigma_rad[segment.index()] = sensor.systematic_rad(self.held_s, self.links.rad2(segment));
                     }
                     continue;
                 }
@@ -576,8 +582,9 @@ impl BodyFilter {
                 // The filter knows of noise and of its own mountings alone; the other errors of both sensors last.
                 let sensors = [trunk, segment].map(|s| self.sensors[s.index()].as_ref());
                 let limb_rad = spread.map_or(std::f64::consts::PI, |spread| spread.sigma_rad[k]);
-                let trunk = sensors[0].map_or(0.0, |sensor| sensor.systematic_rad(self.held_s));
-                let own = sensors[1].map_or(0.0, |sensor| sensor.unmounted_rad(self.held_s));
+                let drift_rad2 = self.links.between_rad2(trunk, segment);
+                let trunk = sensors[0].map_or(0.0, |sensor| sensor.systematic_rad(self.held_s, 0.0));
+                let own = sensors[1].map_or(0.0, |sensor| sensor.unmounted_rad(self.held_s, drift_rad2));
                 out.sigma_rad[segment.index()] = libm::hypot(libm::hypot(limb_rad, trunk), own);
             }
         }
@@ -608,10 +615,11 @@ impl BodyFilter {
                 filter.watch(which, out.faults[segment.index()] == Some(Cause::Misfit), dt_s);
             }
         }
-        let trunk = [BodySegment::Torso, BodySegment::Pelvis]
+        let worn = BodySegment::ALL
             .into_iter()
-            .find_map(|s| self.sensors[s.index()].as_ref());
-        let trunk = trunk.or_else(|| self.sensors.iter().flatten().next()).filter(|sensor| sensor.started);
+            .filter_map(|segment| Some((segment, self.sensors[segment.index()].as_ref()?)))
+            .find(|(_, sensor)| sensor.started);
+        let trunk = worn.map(|(_, sensor)| sensor);
         out.heading = match trunk {
             None => Heading::Unknown,
             Some(sensor) if sensor.magnetometer && !sensor.ahrs.magnetic_disturbance() => {
@@ -623,8 +631,8 @@ impl BodyFilter {
                 Heading::Held(self.held_s)
             }
         };
-        out.heading_sigma_rad = trunk.map_or(std::f64::consts::PI, |sensor| {
-            let [_, heading] = sensor.lasting_rad2(self.held_s);
+        out.heading_sigma_rad = worn.map_or(std::f64::consts::PI, |(segment, sensor)| {
+            let [_, heading] = sensor.lasting_rad2(self.held_s, self.links.rad2(segment));
             heading.sqrt().min(std::f64::consts::PI)
         });
     }
@@ -637,21 +645,21 @@ impl Sensor {
     }
 
     /// What calibrated sensors are systematically wrong by, rms about an axis, rad: the accelerometer's bias tilts, the magnetometer'
-    /// iron turns the heading, or without a field the gyro's bias for `held_s`, and its mounting is as good as the calibration was.
-    fn systematic_rad(&self, held_s: f64) -> f64 {
-        libm::hypot(self.unmounted_rad(held_s), self.mount.rms_rad()).min(std::f64::consts::PI)
+    /// iron turns the heading, the gyro's bias for `held_s` while the field is not believed, or without one `drift_rad2`, and its mounting is as good as the calibration was.
+    fn systematic_rad(&self, held_s: f64, drift_rad2: f64) -> f64 {
+        libm::hypot(self.unmounted_rad(held_s, drift_rad2), self.mount.rms_rad()).min(std::f64::consts::PI)
     }
 
     /// The same without the mounting.
-    fn unmounted_rad(&self, held_s: f64) -> f64 {
-        let [tilt, heading] = self.lasting_rad2(held_s);
+    fn unmounted_rad(&self, held_s: f64, drift_rad2: f64) -> f64 {
+        let [tilt, heading] = self.lasting_rad2(held_s, drift_rad2);
         ((2.0 * tilt + heading) / 3.0).sqrt().min(std::f64::consts::PI)
     }
 
     /// The same as variances of a tilt about each level axis and of the heading, rad².
-    fn lasting_rad2(&self, held_s: f64) -> [f64; 2] {
-        let magnetometer = if self.magnetometer { CALIBRATED_HEADING_RAD } else { 0.0 };
-        let heading = magnetometer.powi(2) + self.asserted_rad.powi(2) + (DRIFT_RAD_S * held_s).powi(2);
+    fn lasting_rad2(&self, held_s: f64, drift_rad2: f64) -> [f64; 2] {
+        let magnetometer_rad2 = CALIBRATED_HEADING_RAD.powi(2) + (DRIFT_RAD_S * held_s).powi(2);
+        let heading = if self.magnetometer { magnetometer_rad2 } else { drift_rad2 };
         [CALIBRATED_TILT_RAD.powi(2), heading]
     }
 
@@ -709,7 +717,6 @@ impl Sensor {
         if let (false, Some(q)) = (self.magnetometer, self.orientation()) {
             let turn_rad = heading_rad - yaw_from_upright(&q);
             self.heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_rad) * self.heading;
-            self.asserted_rad = AHEAD_RAD;
         }
     }
 

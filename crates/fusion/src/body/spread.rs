@@ -114,9 +114,11 @@ impl BodyFilter {
             let shaken = if segment == BodySegment::Torso { TRUNK_RAD2 } else { LIMB_RAD2 };
             let up = q.inverse() * Vector3::z();
             let level = [parent, segment].into_iter().filter_map(|of| self.sensors[of.index()].as_ref());
+            // Without a field, what is between the two counts once.
+            let drift_rad2 = 0.5 * self.links.between_rad2(parent, segment);
             let lasting: Matrix3<f64> = level
                 .map(|sensor| {
-                    let [tilt, heading] = sensor.lasting_rad2(self.held_s);
+                    let [tilt, heading] = sensor.lasting_rad2(self.held_s, drift_rad2);
                     let (tilt, heading) = (tilt + shaken, if hinged { 0.0 } else { heading });
                     Matrix3::identity() * tilt + up * up.transpose() * (heading - tilt)
                 })

@@ -367,4 +367,9 @@ impl<const N: usize, const D: usize> Limb<Ball, D, N> {
     pub fn upper_orientation(&self) -> UnitQuaternion<f64> {
         self.upper.q
     }
+
+    /// Turns the whole limb against its base, `rotation` in the base's axes: something else tells its heading.
+    pub fn turn(&mut self, rotation: &UnitQuaternion<f64>) {
+        self.upper.q = rotation * self.upper.q;
+    }
 }
