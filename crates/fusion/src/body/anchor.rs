@@ -128,6 +128,7 @@ impl BodyFilter {
                 / (sigma_rad.powi(2)
                     + self.estimate.sigma_rad[anchor.segment.index()].powi(2)
                     + WORN_RAD * WORN_RAD);
+            self.links.tell(anchor.segment, sigma_rad.powi(2) + WORN_RAD * WORN_RAD);
             let (s, c) = libm::sincos(2.0 * libm::atan2(off.k, off.w));
             sin += weight * s;
             cos += weight * c;
@@ -141,7 +142,6 @@ impl BodyFilter {
         let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_rad);
         for sensor in self.sensors.iter_mut().flatten().filter(|sensor| sensor.started) {
             sensor.heading = turned * sensor.heading;
-            sensor.asserted_rad = WORN_RAD;
         }
         // A limb whose trunk wears nothing hangs in the room, and does not turn with it.
         for (limb, filter) in Limb::ALL.into_iter().zip(&mut self.limbs) {

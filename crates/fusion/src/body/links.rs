@@ -201,6 +201,18 @@ impl Links {
         self.set(unit(segment), AHEAD_RAD.powi(2));
     }
 
+    /// Something else goes on saying where a segment looks, to this variance, rad²: it is not known worse, nor better for its being said again.
+    pub(super) fn tell(&mut self, segment: BodySegment, rad2: f64) {
+        let u = unit(segment);
+        let known_rad2 = self.p[(u, u)];
+        if known_rad2 > rad2 {
+            let ph: SVector<f64, STATES> = self.p.column(u).into();
+            let gain = ph * ((known_rad2 - rad2) / (known_rad2 * known_rad2));
+            self.x -= gain * self.x[u];
+            self.p -= gain * ph.transpose();
+        }
+    }
+
     /// An error is none, but for so much, rad², whatever was known before.
     fn set(&mut self, u: usize, rad2: f64) {
         self.x[u] = 0.0;

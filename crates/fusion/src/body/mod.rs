@@ -574,7 +574,8 @@ impl BodyFilter {
                     // By its own sensor alone, if any.
                     out.orientations[segment.index()] = own[segment.index()];
                     if let Some(sensor) = &self.sensors[segment.index()] {
-                        out.sigma_rad[segment.index()] = sensor.systematic_rad(self.held_s, self.links.rad2(segment));
+                        out.sigma_rad[segment.index()] =
+                            sensor.systematic_rad(self.held_s, self.links.rad2(segment));
                     }
                     continue;
                 }

@@ -1,5 +1,7 @@
 //! Whole bodies that walk, squat and lose a sensor, from the simulator.
 
+use crate::ahrs::ImuSample;
+use crate::body::{BodyFilter, BodyParams};
 use posed_simulator::body::{Activity, Script};
 
 use super::*;
