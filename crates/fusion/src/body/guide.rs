@@ -454,19 +454,13 @@ fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<B
         // The headings begin anew from a posture that looks straight ahead.
         steps.push(BlockKind::NPose);
     } else if !with_arms && !bends {
-        // Something must show which way the body faces.
-        let leg = [
-            BodySegment::ShankR,
-            BodySegment::ShankL,
-            BodySegment::ThighR,
-            BodySegment::ThighL,
-            BodySegment::FootR,
-            BodySegment::FootL,
-            BodySegment::Head,
-        ]
-        .into_iter()
-        .find(|s| has(*s));
-        steps.push(leg.map_or(BlockKind::Bow, |leg| BlockKind::Move(leg, Movement::Flexion)));
+        // Something must show which way the body faces. Feet and heads nod both ways alike, and show it to who wears nothing else.
+        let leg = [BodySegment::ShankR, BodySegment::ShankL, BodySegment::ThighR, BodySegment::ThighL];
+        let end = [BodySegment::Head, BodySegment::FootR, BodySegment::FootL];
+        let trunk = has(BodySegment::Torso) || has(BodySegment::Pelvis);
+        let ends = end.into_iter().filter(|_| !trunk);
+        let moved = leg.into_iter().chain(ends).find(|segment| has(*segment));
+        steps.push(moved.map_or(BlockKind::Bow, |moved| BlockKind::Move(moved, Movement::Flexion)));
     }
     steps
 }

@@ -44,9 +44,8 @@ const ROLLS_M_S: f64 = 1.0;
 const FLOOR_M: f64 = 0.3;
 /// A pelvis that rests by its own sensor goes no faster, m/s.
 const RESTS_M_S: f64 = 0.02;
-/// A foot that has come down lies still after so long, s: it is seen to stand some hundredths of a second before it has, and falls from heel to ball for
-/// 0.08 s.
-const LANDED_S: f64 = 0.12;
+/// A foot that has come down lies still after so long, s.
+const LANDED_S: f64 = 0.08;
 /// Footholds whose heights differ by less are on one floor, m, and this is how level a floor is.
 const STEP_M: f64 = 0.04;
 const LEVEL_M: f64 = 0.005;
@@ -373,14 +372,12 @@ impl TravelFilter {
             return;
         }
         let foothold = foothold(side, which);
-        // One that comes down goes on doing so for a while: until it has landed it begins again each time, and holds nothing.
-        if contact.before_s < LANDED_S {
+        if contact.before_s == 0.0 {
             for (k, axis) in self.axes.iter_mut().enumerate() {
                 axis.begin(foothold, at_m[k], POINT_M * POINT_M);
             }
-            if contact.stood_s < LANDED_S {
-                return;
-            }
+        }
+        if contact.before_s < LANDED_S && contact.stood_s >= LANDED_S {
             self.level(foothold, height_m);
         }
         let loose_m = LOOSE_S * speed_m_s.map_or(0.0, |speed| speed.norm());
