@@ -16,7 +16,7 @@ use super::{HEIGHT_M, emit, outcomes};
 const RATE_HZ: f64 = 50.0;
 const SEEDS: u64 = 6;
 /// So long whoever was calibrated walks about, s.
-const WALKS_S: f64 = 40.0;
+const WALKS_S: f64 = 60.0;
 /// Nobody goes on for longer, s.
 const LONGEST_S: f64 = 240.0;
 /// A mounting that is wrong by more is wrong: what people who stand as people do leave stays below, degrees.

@@ -32,7 +32,7 @@ const FLOOR_M_S2: f64 = 0.5;
 /// How well it is known where a sensor sits, and where a limb hangs on the trunk, m.
 const PLACE_M: f64 = 0.03;
 /// Logarithm of the odds from which there is no doubt.
-const SURE: f64 = 15.0;
+const SURE: f64 = 12.0;
 /// An elbow or a knee is bent beyond this, rad; for so long at least it was seen to, s, and so many times longer than the other way.
 const BENT_RAD: f64 = 0.6;
 const BENT_S: f64 = 2.0;
