@@ -302,7 +302,7 @@ const INNER: [(&str, WholeSegment, [BodySegment; 2]); 8] = [
 
 /// Angles of the joints of the 23 which no sensor shows by itself: of the spine's, flexion, lateral and rotation as those of `spine`; of the ball of a foot its
 /// flexion, positive where the toes bend up. Names and angles, rad; `None` where a segment that it follows from is not `shown`, by [`BodySegment::index`].
-/// The joint of a shoulder's girdle does not move here, and has none; all other joints are those of [`super::angles`].
+/// The joint of a shoulder's girdle does not move here, and has none; all other joints are those of [`super::angles()`].
 pub fn inner_angles(
     orientations: &[UnitQuaternion<f64>; SEGMENTS],
     shown: &[bool; SEGMENTS],
