@@ -4,6 +4,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use posed_simulator::body::{Activity, Script, Wearer, WearerSpec};
 
 use super::BodySegment as B;
+use super::block::Recorded;
 use super::tests::{Orientations, record, spec};
 use super::*;
 
@@ -47,12 +48,10 @@ fn a_thigh_between_hips_and_shank_goes_by_a_hinge() {
         let found = completed(&of(&truth.map(Some), worn));
         assert!(knee_deg(&found, 0) > -3.0, "{thigh_deg} {shank_deg}: {}", knee_deg(&found, 0));
         let off_deg = found[B::ThighR.index()].angle_to(&truth[B::ThighR.index()]).to_degrees();
-        assert!(off_deg < 25.0, "{thigh_deg} {shank_deg}: {off_deg}");
+        assert!(off_deg < 30.0, "{thigh_deg} {shank_deg}: {off_deg}");
         // The other leg is left in peace, as far as the balance lets it be.
-        println!(
-            "{thigh_deg} {shank_deg}: {off_deg} {}",
-            found[B::ThighL.index()].angle_to(&truth[B::ThighL.index()]).to_degrees()
-        );
+        let other_deg = found[B::ThighL.index()].angle_to(&truth[B::ThighL.index()]).to_degrees();
+        assert!(other_deg < 30.0, "{thigh_deg} {shank_deg}: {other_deg}");
     }
     // The shanks look 20 degrees inwards: so do the thighs.
     let turned = body(&[(B::ThighR, [0.0, 0.0, 20.0]), (B::ThighL, [0.0, 0.0, 20.0])]);
@@ -124,11 +123,44 @@ fn any_subset_of_any_posture_is_completed() {
     }
 }
 
-/// What is inferred is within two of its sigmas in 95 of 100 epochs over all, in 90 whoever wears them.
+/// Mean square error of every segment, rad², and of the inferred ones' epochs those within two of their sigmas, and all.
+fn followed(
+    worn: &[BodySegment],
+    mounts: &[Option<SensorMount>; SEGMENTS],
+    recording: &[Recorded],
+    truth: &[Orientations],
+) -> ([f64; SEGMENTS], [f64; 2]) {
+    const FROM: usize = 250;
+    let mut filter = BodyFilter::new(&Skeleton::from_height(1.8), &of(mounts, worn), &BodyParams::default());
+    let (mut squares, mut within) = ([0.0; SEGMENTS], [0.0; 2]);
+    for (at, ((_, samples), truth)) in recording.iter().zip(truth).enumerate() {
+        let estimate = filter.push(samples, 0.02);
+        if at < FROM {
+            continue;
+        }
+        for segment in BodySegment::ALL {
+            let k = segment.index();
+            let off = estimate.posture[k].angle_to(&truth[k]);
+            squares[k] += off * off / (recording.len() - FROM) as f64;
+            if is_between(segment, worn) && !worn.contains(&segment) {
+                // Sigma is about one of three axes.
+                within[0] += f64::from(off < 2.0 * 3_f64.sqrt() * estimate.sigma_rad[k]);
+                within[1] += 1.0;
+            }
+            let angle = of_joint(segment).start;
+            let is_known = segment.parent().is_some() && estimate.angles_rad[angle].is_some();
+            assert!(!is_known || estimate.spread.sigma_rad[angle] > 1e-3, "{worn:?} {segment:?}");
+        }
+    }
+    (squares, within)
+}
+
+/// Known segments are as good as with all sensors; what is inferred is within two of its sigmas in 95 of 100 epochs.
 #[test]
 fn a_body_of_few_sensors_knows_how_little_it_knows() {
-    let skeleton = Skeleton::from_height(1.8);
-    let mut within = [[0.0; 2]; SUBSETS.len()];
+    // `cargo bench --bench body few` has more of them, and for longer.
+    let subsets = [SUBSETS[0], SUBSETS[1], SUBSETS[2], SUBSETS[6]];
+    let mut within = [[0.0; 2]; 4];
     for activity in
         [Activity::Walking, Activity::Strolling, Activity::Reaching, Activity::Curls, Activity::Squats]
     {
@@ -138,39 +170,21 @@ fn a_body_of_few_sensors_knows_how_little_it_knows() {
             let (q, offset_m) = wearer.mounting(segment.index());
             Some(SensorMount::exact(q, offset_m))
         });
-        let (recording, truth) = record(&mut wearer, 16.0);
-        for (worn, within) in SUBSETS.into_iter().zip(&mut within) {
-            let mut filter = BodyFilter::new(&skeleton, &of(&mounts, worn), &BodyParams::default());
-            for ((t_s, samples), truth) in recording.iter().zip(&truth) {
-                let estimate = filter.push(samples, 0.02);
-                if *t_s < 5.0 {
-                    continue;
-                }
-                assert!(estimate.sigma_rad.iter().all(|sigma_rad| sigma_rad.is_finite()));
-                let inferred = |segment: &BodySegment| !worn.contains(segment) && is_between(*segment, worn);
-                for segment in BodySegment::ALL.into_iter().filter(inferred) {
-                    let k = segment.index();
-                    let off_rad = estimate.posture[k].angle_to(&truth[k]);
-                    // Sigma is about one of three axes.
-                    within[0] += f64::from(off_rad < 2.0 * 3_f64.sqrt() * estimate.sigma_rad[k]);
-                    within[1] += 1.0;
-                }
-                // Angles are those between known segments, and say how well they are known.
-                for segment in BodySegment::ALL {
-                    let at = of_joint(segment).start;
-                    if segment.parent().is_some() && estimate.angles_rad[at].is_some() {
-                        assert!(estimate.spread.sigma_rad[at] > 1e-3);
-                    }
-                }
+        let (recording, truth) = record(&mut wearer, 12.0);
+        let (with_all, _) = followed(&BodySegment::ALL, &mounts, &recording, &truth);
+        for (worn, within) in subsets.into_iter().zip(&mut within) {
+            let (found, [inside, all]) = followed(worn, &mounts, &recording, &truth);
+            for k in worn.iter().map(|segment| segment.index()) {
+                let [found_deg, best_deg] = [found[k], with_all[k]].map(|square| square.sqrt().to_degrees());
+                assert!(found_deg < best_deg + 3.0, "{activity:?} {worn:?} {k} {found_deg} {best_deg}");
             }
+            within[0] += inside;
+            within[1] += all;
         }
     }
-    let share = |[inside, all]: [f64; 2]| inside / all;
-    for (worn, within) in SUBSETS.into_iter().zip(within).filter(|(_, [_, all])| *all > 0.0) {
-        assert!(share(within) > 0.9, "{worn:?} {:.3}", share(within));
+    for (worn, [inside, all]) in subsets.into_iter().zip(within) {
+        assert!(inside / all > 0.95, "{worn:?} {:.3}", inside / all);
     }
-    let all = within.iter().fold([0.0; 2], |sum, one| [sum[0] + one[0], sum[1] + one[1]]);
-    assert!(share(all) > 0.95, "{:.3}", share(all));
 }
 
 /// Trunk, or a segment of a limb of which a sensor is worn.

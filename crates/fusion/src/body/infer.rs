@@ -1,7 +1,7 @@
 //! What wears no sensor, from what does: the most probable posture, and how far people depart from it.
 //!
 //! In: orientations of the segments that sensors show. Out: those of all segments, with the covariance of what was inferred. Every joint has a habit, from its
-//! anatomical range: most probable is the N-pose, and two standard deviations reach half way to the limit on either side; what is no axis of the joint hardly turns. A
+//! anatomical range: most probable is the N-pose, and two standard deviations reach three quarters of the way to the limit on either side; what is no axis of the joint hardly turns. A
 //! knee thereby is a hinge that does not bend backwards, and a thigh between pelvis and shank is found as far as those show it. Shanks and trunk
 //! tend to be upright, and who stands on two legs stands in balance. The maximum a posteriori over all missing segments together is found by
 //! Gauss-Newton steps, eliminated from the leaves of the body to its root; equations: `docs/methods/body.md`.
@@ -14,8 +14,8 @@ use super::skeleton::{BodySegment, SEGMENTS, Skeleton, upright};
 use super::yaw_from_upright;
 use posed_geometry::so3::{exp, hat, log, right_jacobian_inverse};
 
-/// Two standard deviations of a joint's habit reach this share of its range, on either side.
-const USED: f64 = 0.5;
+/// Two standard deviations of a joint's habit reach this share of its range, on either side: about as much of it as everyday activities use.
+const USED: f64 = 0.75;
 /// An axis that a joint does not have is that well known, rad.
 const NO_AXIS_RAD: f64 = 0.05;
 /// How far from upright trunk and shanks are, where nothing else is known, rad.

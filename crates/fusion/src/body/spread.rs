@@ -108,7 +108,8 @@ impl BodyFilter {
             let limb = Limb::ALL
                 .into_iter()
                 .zip(limbs)
-                .filter_map(|(limb, spread)| spread.is_some().then(|| limb.segments()))
+                .filter(|(_, spread)| spread.is_some())
+                .map(|(limb, _)| limb.segments())
                 .find(|of| of[1..].contains(&segment));
             let hinged = limb.is_some_and(|[.., lower]| lower == segment);
             let shaken = if segment == BodySegment::Torso { TRUNK_RAD2 } else { LIMB_RAD2 };
