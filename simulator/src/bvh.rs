@@ -144,8 +144,11 @@ impl Bvh {
     }
 }
 
+/// Joints, and by the joint that they end where the ends of the bones are.
+type Hierarchy = (Vec<Joint>, Vec<(usize, Vector3<f64>)>);
+
 /// Everything from `HIERARCHY` to `MOTION`.
-fn hierarchy(words: &mut Words<'_>) -> Result<(Vec<Joint>, Vec<(usize, Vector3<f64>)>), BvhError> {
+fn hierarchy(words: &mut Words<'_>) -> Result<Hierarchy, BvhError> {
     let mut joints: Vec<Joint> = Vec::new();
     let mut ends = Vec::new();
     let mut open: Vec<usize> = Vec::new();

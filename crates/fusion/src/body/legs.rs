@@ -17,9 +17,8 @@ impl BodyFilter {
         let sensor_m = q_room_pelvis * pelvis.mount.offset_m;
         let rests = pelvis.ahrs.at_rest();
         let ankles_m = self.skeleton.ankles_m(&all, Vector3::zeros());
-        for limb in [Limb::LegR, Limb::LegL] {
-            let [_, thigh, shank] = limb.segments();
-            (self.shows(thigh)?, self.shows(shank)?);
+        for segment in [Limb::LegR, Limb::LegL].into_iter().flat_map(|limb| limb.segments()) {
+            self.shows(segment)?;
         }
         let mut shanks = [None; 2];
         let sides = [(BodySegment::ShankR, BodySegment::FootR), (BodySegment::ShankL, BodySegment::FootL)];

@@ -27,7 +27,7 @@ impl Recording {
         };
         let up: Vector3<f64> =
             self.frames().map(|frame| frame.middle(Joint::Shoulder) - frame.middle(Joint::Ankle)).sum();
-        if !(up.norm() > 0.0) {
+        if up.norm() == 0.0 || up.norm().is_nan() {
             return Err(wrong(self, "shoulders and ankles are in the same place"));
         }
         let axis = up.iamax();

@@ -96,6 +96,9 @@ impl Seen {
     }
 }
 
+/// The axis of a joint in the sensor above and in the one below it, where they show it; and how much of the movement went one way.
+type PairAxes = ([Option<Vector3<f64>>; 2], f64);
+
 /// Orientations of all sensors over a recording, as it comes.
 #[derive(Clone, Debug)]
 pub(in super::super) struct Tracks {
@@ -357,7 +360,7 @@ impl<'a> Session<'a> {
         segment: BodySegment,
         low: Option<&Held>,
         range: std::ops::Range<usize>,
-    ) -> Result<([Option<Vector3<f64>>; 2], f64), Refused> {
+    ) -> Result<PairAxes, Refused> {
         let (a, b) = (parent.index(), segment.index());
         let samples: Vec<_> = self.recording[range.clone()]
             .iter()
