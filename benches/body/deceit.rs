@@ -134,17 +134,14 @@ fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool
             *sample = sample.filter(|_| !off);
         }
         exchange(deceit, &mut samples);
-        match deceit {
-            Deceit::Gripped(segment) => {
-                gripped |= guide.progress().0 >= 1;
-                if let Some(sample) = samples[segment.index()].as_mut().filter(|_| gripped) {
-                    let q = grip();
-                    sample.gyro_rad_s = q * sample.gyro_rad_s;
-                    sample.accel_m_s2 = q * sample.accel_m_s2;
-                    sample.mag = sample.mag.map(|mag| q * mag);
-                }
+        if let Deceit::Gripped(segment) = deceit {
+            gripped |= guide.progress().0 >= 1;
+            if let Some(sample) = samples[segment.index()].as_mut().filter(|_| gripped) {
+                let q = grip();
+                sample.gyro_rad_s = q * sample.gyro_rad_s;
+                sample.accel_m_s2 = q * sample.accel_m_s2;
+                sample.mag = sample.mag.map(|mag| q * mag);
             }
-            _ => {}
         }
         guide.push(t_s, &samples);
         warned |= guide.objection().0 > 0 || guide.silent().next().is_some();
