@@ -32,7 +32,7 @@ pub(crate) async fn listen(mut stream: TcpStream, last: i32, seconds: f64) -> Re
             if (message.sender, message.kind) != (last, POSE) {
                 continue;
             }
-            if seen.frame(message.utc_ns as f64 * 1e-9, std::mem::take(&mut taken)) {
+            if seen.frame(message.utc_us as f64 * 1e-6, std::mem::take(&mut taken)) {
                 return seen;
             }
         }
