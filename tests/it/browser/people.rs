@@ -66,7 +66,7 @@ async fn one_of_two_people_is_chosen_calibrated_and_exported() {
     assert!(browser.row("mounting", 1).await[1].starts_with("bert-"));
     browser.picture("mounting").await;
     browser.click("tab-stage-view").await;
-    browser.until("document.getElementById('body-summary').textContent.startsWith('bert: 4 of 14 segments measured')").await;
+    browser.until("document.getElementById('body-summary').textContent.startsWith('bert: 4 of 10 segments measured')").await;
     // Of her nothing is known yet, and that is said by her name.
     let problems = "document.getElementById('problems').textContent";
     browser
