@@ -1,14 +1,17 @@
 //! What a body's filter shows the feet's: where the points of the feet are from the hips, and how they are accelerated.
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 
-use super::skeleton::{BodySegment, Limb, SEGMENTS};
-use super::travel::{Foot, Legs, Point, ShankSeen, carried};
-use super::{BodyFilter, BodySamples, HOLD_S, LEGS_S, LimbFilter, Sensor, health};
+use super::moving::Moving;
+use super::sensor::Sensor;
+use super::skeleton::{BodySegment, Limb};
+use super::travel::{Foot, Legs, Point, ShankSeen};
+use super::{BodyFilter, BodySamples, HOLD_S, LEGS_S, LimbFilter, health};
+use posed_geometry::GRAVITY_M_S2;
 
 impl BodyFilter {
     /// What the feet say of one time; `None` unless the sensors on pelvis and both legs show it.
-    pub(super) fn legs(&mut self, samples: &BodySamples) -> Option<Legs> {
+    pub(super) fn legs(&self, samples: &BodySamples) -> Option<Legs> {
         let pelvis = self.shows(BodySegment::Pelvis)?;
         let all = self.estimate.posture;
         let q_room_pelvis = all[BodySegment::Pelvis.index()];
@@ -20,34 +23,36 @@ impl BodyFilter {
         for segment in [Limb::LegR, Limb::LegL].into_iter().flat_map(|limb| limb.segments()) {
             self.shows(segment)?;
         }
-        let mut shanks = [None; 2];
         let sides = [(BodySegment::ShankR, BodySegment::FootR), (BodySegment::ShankL, BodySegment::FootL)];
-        let mut foot = |side: usize| {
-            let (shank, foot) = sides[side];
-            let at_m = ankles_m[side];
-            let ankle_m = self.skeleton.end_in_segment_m(shank);
-            let turned = self.turned(shank, samples);
-            let [accel_m_s2] = self.accelerations(shank, [ankle_m], turned, samples, &all);
-            // What a length makes of the acceleration is what it is of a point so far away, less what it is of the sensor itself.
-            let learns = self.sensors[shank.index()].as_ref().is_some_and(Sensor::is_learnt);
-            let [longer_m_s2] = self.accelerations(shank, [ankle_m * 2.0], turned, samples, &all);
-            let length_m = self.skeleton.shank_m;
-            shanks[side] = accel_m_s2.zip(longer_m_s2).filter(|_| learns).map(|(ankle_m_s2, longer_m_s2)| {
-                ShankSeen { ankle_m_s2, length_m, by_length: (longer_m_s2 - ankle_m_s2) / length_m }
-            });
-            if self.shows(foot).is_none() {
-                self.turns_rad_s[foot.index()] = None;
-                return Foot::Ankle(Point { at_m, accel_m_s2 });
-            }
-            let sole_m = self.travel.sole_m(side);
-            let turned = self.turned(foot, samples);
-            let accels_m_s2 = self.accelerations(foot, sole_m, turned, samples, &all);
-            Foot::Sole([0, 1].map(|which| Point {
-                at_m: at_m + all[foot.index()] * sole_m[which],
-                accel_m_s2: accels_m_s2[which],
-            }))
+        let acceleration_m_s2 = |moving: &Moving, from_sensor_m: Vector3<f64>| {
+            moving.at(&from_sensor_m) - Vector3::z() * GRAVITY_M_S2
         };
-        let feet = [foot(0), foot(1)];
+        let shanks = sides.map(|(shank, _)| {
+            let (moving, sensor) = self.moving(shank, samples)?;
+            let (ankle_m, length_m) = (self.skeleton.end_in_segment_m(shank), self.skeleton.shank_m);
+            let ankle_m_s2 = acceleration_m_s2(&moving, ankle_m - sensor.mount.offset_m);
+            let by_length = moving.q_room_segment * (moving.lever() * ankle_m) / length_m;
+            Some((ShankSeen { ankle_m_s2, length_m, by_length }, sensor.is_learnt()))
+        });
+        let feet = [0, 1].map(|side| {
+            let (_, foot) = sides[side];
+            let at_m = ankles_m[side];
+            if self.shows(foot).is_none() {
+                return Foot::Ankle(Point {
+                    at_m,
+                    accel_m_s2: shanks[side].map(|(seen, _)| seen.ankle_m_s2),
+                });
+            }
+            let moving = self.moving(foot, samples);
+            Foot::Sole(
+                self.travel.sole_m(side).map(|point_m| Point {
+                    at_m: at_m + all[foot.index()] * point_m,
+                    accel_m_s2: moving
+                        .map(|(moving, sensor)| acceleration_m_s2(&moving, point_m - sensor.mount.offset_m)),
+                }),
+            )
+        });
+        let shanks = shanks.map(|seen| seen.filter(|(_, learns)| *learns).map(|(seen, _)| seen));
         Some(Legs { sensor_m, specific_force_m_s2, rests, ankles_m, feet, shanks })
     }
 
@@ -81,34 +86,12 @@ impl BodyFilter {
         (current && self.estimate.orientations[segment.index()].is_some()).then_some(sensor)
     }
 
-    /// Angular velocities of the sensor on this segment at this time and a sample ago, rad/s, sensor axes; `None` unless there are both.
-    fn turned(&mut self, segment: BodySegment, samples: &BodySamples) -> Option<[Vector3<f64>; 2]> {
+    /// How a segment moves by the sensor on it, if that measured at this time.
+    fn moving(&self, segment: BodySegment, samples: &BodySamples) -> Option<(Moving, &Sensor)> {
         let sensor = self.sensors[segment.index()].as_ref()?;
-        let now = measured(samples, segment).map(|sample| sample.gyro_rad_s - sensor.ahrs.bias_rad_s());
-        let before = std::mem::replace(&mut self.turns_rad_s[segment.index()], now);
-        Some([now?, before?])
-    }
-
-    /// Accelerations of points of a segment, given in its axes, m: room, m/s².
-    fn accelerations<const N: usize>(
-        &self,
-        segment: BodySegment,
-        points_m: [Vector3<f64>; N],
-        turned: Option<[Vector3<f64>; 2]>,
-        samples: &BodySamples,
-        all: &[UnitQuaternion<f64>; SEGMENTS],
-    ) -> [Option<Vector3<f64>>; N] {
-        let (Some([now, before]), Some(sensor), Some(sample)) =
-            (turned, &self.sensors[segment.index()], measured(samples, segment))
-        else {
-            return [None; N];
-        };
-        let mount = &sensor.mount;
-        let q_room_sensor = all[segment.index()] * mount.q_segment_sensor;
-        points_m.map(|point_m| {
-            let from_sensor_m = mount.q_segment_sensor.inverse() * (point_m - mount.offset_m);
-            Some(carried(&q_room_sensor, &sample.accel_m_s2, [&now, &before], sensor.step_s, &from_sensor_m))
-        })
+        let sample = measured(samples, segment)?;
+        let q_room_segment = self.estimate.posture[segment.index()];
+        Some((sensor.moving(&sample, &sensor.mount.q_segment_sensor, q_room_segment), sensor))
     }
 }
 

@@ -12,8 +12,10 @@ use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 use posed_geometry::{so3, wrapped_rad};
 use posed_state::Plain;
 
-use super::skeleton::{BodySegment, Limb, SEGMENTS};
-use super::{AHEAD_RAD, BodyFilter, BodySamples, HOLD_S, SETTLED_S, Sensor, health, yaw_from_upright};
+use super::moving::Moving;
+use super::sensor::Sensor;
+use super::skeleton::{BodySegment, Limb};
+use super::{AHEAD_RAD, BodyFilter, BodySamples, HOLD_S, SETTLED_S, SensorMount, health, yaw_from_upright};
 use crate::ahrs::CALIBRATED_HEADING_RAD;
 
 /// Headings: those of [`ALONE`], each by its own sensor, and of the limbs, whose two segments a hinge holds together.
@@ -95,27 +97,10 @@ pub(super) enum Told {
     Gyro { rate_rad_s: f64, turns: bool },
 }
 
-/// How one segment moves, room.
-#[derive(Clone, Copy, Debug)]
-struct Moves {
-    q_room_segment: UnitQuaternion<f64>,
-    /// Specific force, m/s², angular velocity, rad/s, and acceleration, rad/s², segment's axes.
-    specific_force_m_s2: Vector3<f64>,
-    angular_velocity_rad_s: Vector3<f64>,
-    accel_rad_s2: Vector3<f64>,
-    /// Where its sensor sits, segment's axes, m.
-    sensor_m: Vector3<f64>,
-}
-
-impl Moves {
-    /// Level part of the specific force at a point, m/s², room, and the square of what it changes by per metre, 1/s⁴.
-    fn at(&self, point_m: &Vector3<f64>) -> (Vector2<f64>, f64) {
-        let lever_m = point_m - self.sensor_m;
-        let (omega, alpha) = (&self.angular_velocity_rad_s, &self.accel_rad_s2);
-        let force = self.specific_force_m_s2 + alpha.cross(&lever_m) + omega.cross(&omega.cross(&lever_m));
-        let per_m = alpha.norm_squared() + omega.norm_squared().powi(2);
-        ((self.q_room_segment * force).xy(), per_m)
-    }
+/// Level part of the specific force at a point so far from the sensor, m, m/s², room, and the square of what it changes by per metre, 1/s⁴.
+fn level_force(moving: &Moving, from_sensor_m: &Vector3<f64>) -> (Vector2<f64>, f64) {
+    let per_m = moving.accel_rad_s2.norm_squared() + moving.angular_velocity_rad_s.norm_squared().powi(2);
+    (moving.at(from_sensor_m).xy(), per_m)
 }
 
 /// What a joint has felt in the running window.
@@ -163,8 +148,6 @@ pub(super) struct Links {
     /// How fast each turns about the vertical, on average, rad/s.
     turns_rad_s: [f64; UNITS],
     felt: [Felt; LINKS.len()],
-    /// Angular velocity of each segment a sample ago, rad/s, its axes.
-    before_rad_s: [Option<Vector3<f64>>; SEGMENTS],
     window_s: f64,
 }
 
@@ -176,7 +159,6 @@ impl Default for Links {
             begun: [false; UNITS],
             turns_rad_s: [0.0; UNITS],
             felt: [Felt::default(); LINKS.len()],
-            before_rad_s: [None; SEGMENTS],
             window_s: 0.0,
         }
     }
@@ -325,19 +307,23 @@ impl BodyFilter {
         let links = &mut self.links;
         let gain = dt_s / (TURN_S + dt_s);
         for segment in BodySegment::ALL {
-            let Some(moves) = &moves[segment.index()] else { continue };
-            let turns_rad_s = (moves.q_room_segment * moves.angular_velocity_rad_s).z;
+            let Some((moving, _)) = &moves[segment.index()] else { continue };
+            let turns_rad_s = (moving.q_room_segment * moving.angular_velocity_rad_s).z;
             let mean = &mut links.turns_rad_s[unit(segment)];
             *mean += (turns_rad_s - *mean) * gain;
         }
         for (link, felt) in LINKS.iter().zip(&mut links.felt) {
             let Some(parent) = link.below.parent() else { continue };
-            let (Some(above), Some(below)) = (&moves[parent.index()], &moves[link.below.index()]) else {
+            let (Some((above, above_m)), Some((below, below_m))) =
+                (&moves[parent.index()], &moves[link.below.index()])
+            else {
                 felt.slow_m_s2 = None;
                 continue;
             };
-            let (from_above, per_m_above) = above.at(&self.skeleton.joint_in_parent_m(link.below));
-            let (from_below, per_m_below) = below.at(&self.skeleton.joint_in_segment_m(link.below));
+            let (from_above, per_m_above) =
+                level_force(above, &(self.skeleton.joint_in_parent_m(link.below) - above_m));
+            let (from_below, per_m_below) =
+                level_force(below, &(self.skeleton.joint_in_segment_m(link.below) - below_m));
             let variance = FORCE_M_S2.powi(2) + link.place_m.powi(2) * (per_m_above + per_m_below);
             felt.push([from_above, from_below], variance, dt_s);
         }
@@ -347,26 +333,14 @@ impl BodyFilter {
         }
     }
 
-    /// How a segment moves by its own sensor and the body's estimate.
-    fn moves(&mut self, segment: BodySegment, samples: &BodySamples) -> Option<Moves> {
-        let index = segment.index();
-        let before = self.links.before_rad_s[index].take();
-        let sensor = self.sensors[index].as_ref()?;
-        let sample = samples[index].filter(health::usable)?;
-        let q_room_segment = self.estimate.orientations[index]?;
-        if sensor.settled_s < SETTLED_S || sensor.behind_s > HOLD_S {
-            return None;
-        }
-        let mount = &sensor.mount.q_segment_sensor;
-        let angular_velocity_rad_s = mount * (sample.gyro_rad_s - sensor.ahrs.bias_rad_s());
-        self.links.before_rad_s[index] = Some(angular_velocity_rad_s);
-        Some(Moves {
-            q_room_segment,
-            specific_force_m_s2: mount * sample.accel_m_s2,
-            angular_velocity_rad_s,
-            accel_rad_s2: (angular_velocity_rad_s - before?) / sensor.step_s,
-            sensor_m: sensor.mount.offset_m,
-        })
+    /// How a segment moves by its own sensor and the body's estimate, and where the sensor sits on it, m.
+    fn moves(&self, segment: BodySegment, samples: &BodySamples) -> Option<(Moving, Vector3<f64>)> {
+        let sensor = self.sensors[segment.index()].as_ref()?;
+        let sample = samples[segment.index()].filter(health::usable)?;
+        let q_room_segment = self.estimate.orientations[segment.index()]?;
+        let SensorMount { q_segment_sensor, offset_m, .. } = &sensor.mount;
+        let settled = sensor.settled_s >= SETTLED_S && sensor.behind_s <= HOLD_S;
+        settled.then(|| (sensor.moving(&sample, q_segment_sensor, q_room_segment), *offset_m))
     }
 
     /// What tells the heading of each unit; `None` where no sensor does.

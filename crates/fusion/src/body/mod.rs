@@ -39,8 +39,10 @@ mod limbs;
 mod links;
 #[cfg(test)]
 mod links_tests;
+mod moving;
 mod places;
 mod posture;
+mod sensor;
 mod skeleton;
 mod spread;
 #[cfg(test)]
@@ -75,16 +77,16 @@ pub use taps::DoubleTap;
 pub use travel::{FootContact, Travel};
 pub use whole::{WHOLE, WholeSegment, inner_angles, t_pose, whole, whole_t_pose};
 
-use super::ahrs::{Ahrs, CALIBRATED_HEADING_RAD, CALIBRATED_TILT_RAD, ImuSample, Params};
+use super::ahrs::{ImuSample, Params};
 use super::faults::Cause;
 use super::limb::{Base, LimbNoise};
-use health::Watch;
 use infer::Inference;
 use limbs::LimbFilter;
 use links::Links;
-use posed_geometry::{GRAVITY_M_S2, so3};
+use posed_geometry::GRAVITY_M_S2;
+use sensor::{Sensor, share};
 use travel::TravelFilter;
-use worn::{Shown, Verdict, Worn};
+use worn::Worn;
 
 /// Samples of the whole body at one time, sensor axes, by [`BodySegment::index`]; `None` where no sensor is worn or none
 /// came.
@@ -94,21 +96,9 @@ pub type BodySamples = [Option<ImuSample>; SEGMENTS];
 const AHEAD_RAD: f64 = 0.05;
 /// Without a sample for so long the last rate goes on, s; then the segment holds still.
 const HOLD_S: f64 = 0.1;
-/// Rate at which a heading drifts that the gyro holds where the field is not believed, rad/s.
-const DRIFT_RAD_S: f64 = 3e-4;
-/// After so long the sensor may have been turned, s.
-const AWAY_S: f64 = 0.5;
-/// What the first sample after that stands for, s.
-const FIRST_S: f64 = 0.01;
-
 /// So long after its first sample, or after a gap that the last angular velocity did not bridge, a sensor's orientation is
 /// worth comparing, s: its specific forces have levelled it.
 const SETTLED_S: f64 = 3.0;
-
-/// For so long a sensor that is switched on waits for a specific force within this share of gravity, s: which way is up it learns from the first, and limbs that
-/// begin askew find no way back.
-const CALM_S: f64 = 1.0;
-const CALM: f64 = 0.5;
 
 /// And so long after it a leg's posture does not leap any more, s.
 const LEGS_S: f64 = 1.0;
@@ -236,30 +226,6 @@ impl BodyEstimate {
     }
 }
 
-/// One sensor: how it sits, its own orientation and its health.
-#[derive(Clone, Debug, PartialEq, Plain)]
-struct Sensor {
-    mount: SensorMount,
-    /// How it was said to sit when the body began.
-    began: SensorMount,
-    ahrs: Ahrs,
-    started: bool,
-    /// Time since its last sample, s, and what that one stood for.
-    behind_s: f64,
-    step_s: f64,
-    /// Angular acceleration, sensor axes, rad/s².
-    accel_rad_s2: Vector3<f64>,
-    /// Time since its first sample, or since it came back, s.
-    settled_s: f64,
-    /// For so long a field is still waited for, s.
-    patience_s: f64,
-    /// Whether its samples carry a field.
-    magnetometer: bool,
-    /// From its level frame to the room, where it has no magnetometer.
-    heading: UnitQuaternion<f64>,
-    watch: Watch,
-}
-
 /// Angular velocity, rad/s, and specific force, m/s², of a segment in its axes.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]
 struct Motion {
@@ -273,13 +239,11 @@ struct Motion {
 pub struct BodyFilter {
     sensors: [Option<Sensor>; SEGMENTS],
     limbs: [LimbFilter; 4],
-    /// Last motion of torso and pelvis, for their angular acceleration and for a lost sample.
+    /// Last motion of torso and pelvis, for a lost sample.
     last_motions: [Option<Motion>; 2],
     held_s: f64,
     skeleton: Skeleton,
     travel: TravelFilter,
-    /// Angular velocities of the sensors of shanks and feet a sample ago, rad/s, sensor axes.
-    turns_rad_s: [Option<Vector3<f64>>; SEGMENTS],
     /// Since something else said last where the body is, s.
     unanchored_s: f64,
     /// Whether something else has ever told the heading.
@@ -294,28 +258,13 @@ pub struct BodyFilter {
 impl BodyFilter {
     /// A body that has seen nothing; `mounts` by [`BodySegment::index`]. It copies what it needs of `skeleton` and `params`.
     pub fn new(skeleton: &Skeleton, mounts: &[Option<SensorMount>; SEGMENTS], params: &BodyParams) -> Self {
-        let sensor = |mount: SensorMount| Sensor {
-            mount,
-            began: mount,
-            ahrs: Ahrs::new(params.ahrs.clone()),
-            started: false,
-            behind_s: 0.0,
-            step_s: 0.0,
-            accel_rad_s2: Vector3::zeros(),
-            settled_s: 0.0,
-            patience_s: 0.0,
-            magnetometer: false,
-            heading: UnitQuaternion::identity(),
-            watch: Watch::default(),
-        };
         Self {
-            sensors: mounts.map(|mount| mount.map(sensor)),
+            sensors: mounts.map(|mount| mount.map(|mount| Sensor::new(mount, &params.ahrs))),
             limbs: Limb::ALL.map(|limb| LimbFilter::new(limb, skeleton, mounts, params)),
             last_motions: [None; 2],
             held_s: 0.0,
             skeleton: *skeleton,
             travel: TravelFilter::new(skeleton),
-            turns_rad_s: [None; SEGMENTS],
             unanchored_s: 0.0,
             heading_anchored: false,
             worn: Worn::default(),
@@ -475,50 +424,6 @@ impl BodyFilter {
         done
     }
 
-    /// Whether movements show that calibrated sensors sit on other segments than was said; they count where they sit from then on.
-    fn watch_straps(&mut self, samples: &BodySamples) {
-        let began = self.sensors.each_ref().map(|sensor| {
-            let began = sensor.as_ref()?.began;
-            (began.sigma_rad != Vector3::zeros()).then_some(began)
-        });
-        let shown = std::array::from_fn(|index| {
-            let (sensor, began) = (self.sensors[index].as_ref()?, began[index]?);
-            let sample = samples[index].filter(health::usable)?;
-            let q = &began.q_segment_sensor;
-            let q_room_segment = sensor.orientation()? * sensor.mount.q_segment_sensor * q.inverse();
-            (sensor.settled_s >= SETTLED_S).then(|| Shown {
-                q_room_segment,
-                angular_velocity_rad_s: q * (sample.gyro_rad_s - sensor.ahrs.bias_rad_s()),
-                accel_rad_s2: q * sensor.accel_rad_s2,
-                specific_force_m_s2: q * sample.accel_m_s2,
-            })
-        });
-        self.worn.push(&shown, &began, &self.skeleton);
-        if let Some(verdict) = self.worn.verdict(&self.skeleton, &began) {
-            self.reseat(&verdict);
-        }
-    }
-
-    /// Sensors sit where movements have shown, as they were found to sit by poses: in those all segments stand alike.
-    fn reseat(&mut self, verdict: &Verdict) {
-        let before = std::mem::take(&mut self.sensors);
-        self.sensors = std::array::from_fn(|index| {
-            let mut sensor = before[verdict.taken_from[index]].clone()?;
-            sensor.reseat(before[index].as_ref().map_or(sensor.began.offset_m, |worn| worn.began.offset_m));
-            if verdict.faces_back {
-                sensor.face_back();
-            }
-            Some(sensor)
-        });
-        self.taken_from = verdict.taken_from.map(|from| self.taken_from[from]);
-        let mounts = self.sensors.each_ref().map(|sensor| sensor.as_ref().map(|sensor| sensor.mount));
-        self.limbs.iter_mut().for_each(|limb| limb.remount(&self.skeleton, &mounts));
-        self.last_motions = [None; 2];
-        self.turns_rad_s = [None; SEGMENTS];
-        self.worn = Worn::default();
-        self.links = Links::default();
-    }
-
     /// The latest estimate; nothing known before the first [`Self::push`].
     pub fn estimate(&self) -> &BodyEstimate {
         &self.estimate
@@ -548,37 +453,32 @@ impl BodyFilter {
         };
         let mount = &sensor.mount.q_segment_sensor;
         let angular_velocity_rad_s = mount * (sample.gyro_rad_s - sensor.ahrs.bias_rad_s());
-        let accel_rad_s2 = last.map_or_else(Vector3::zeros, |last| {
-            (angular_velocity_rad_s - last.angular_velocity_rad_s) / sensor.step_s
-        });
         let specific_force_m_s2 = mount * sample.accel_m_s2;
         *last = Some(Motion { angular_velocity_rad_s, specific_force_m_s2 });
-        Base { angular_velocity_rad_s, accel_rad_s2, specific_force_m_s2, ..known }
+        Base {
+            angular_velocity_rad_s,
+            accel_rad_s2: mount * sensor.accel_rad_s2,
+            specific_force_m_s2,
+            ..known
+        }
     }
 
     fn publish(&mut self, own: &[Option<UnitQuaternion<f64>>; SEGMENTS], bases: &[Base; 2], dt_s: f64) {
         let out = &mut self.estimate;
-        for alone in [BodySegment::Torso, BodySegment::Pelvis].into_iter().chain(BodySegment::EXTREMITIES) {
-            out.orientations[alone.index()] = own[alone.index()];
-            if let Some(sensor) = &self.sensors[alone.index()] {
-                out.sigma_rad[alone.index()] = sensor.systematic_rad(self.held_s, self.links.rad2(alone));
+        // By its own sensor alone, if any; limbs that know better follow.
+        for segment in BodySegment::ALL {
+            out.orientations[segment.index()] = own[segment.index()];
+            if let Some(sensor) = &self.sensors[segment.index()] {
+                out.sigma_rad[segment.index()] = sensor.systematic_rad(self.held_s, self.links.rad2(segment));
             }
         }
         let spreads = self.limbs.each_ref().map(LimbFilter::spread);
-        for ((limb, filter), spread) in Limb::ALL.into_iter().zip(&self.limbs).zip(&spreads) {
+        let limbs = Limb::ALL.into_iter().zip(&self.limbs).zip(&spreads);
+        for ((limb, filter), spread) in limbs.filter(|((_, filter), _)| filter.is_whole()) {
             let [trunk, upper, lower] = limb.segments();
             let q_room_base = bases[trunk.index()].q_room_base;
             let relative = filter.orientations();
             for (k, segment) in [upper, lower].into_iter().enumerate() {
-                if !filter.is_whole() {
-                    // By its own sensor alone, if any.
-                    out.orientations[segment.index()] = own[segment.index()];
-                    if let Some(sensor) = &self.sensors[segment.index()] {
-                        out.sigma_rad[segment.index()] =
-                            sensor.systematic_rad(self.held_s, self.links.rad2(segment));
-                    }
-                    continue;
-                }
                 out.orientations[segment.index()] = relative[k].map(|q| q_room_base * q);
                 // The filter knows of noise and of its own mountings alone; the other errors of both sensors last.
                 let sensors = [trunk, segment].map(|s| self.sensors[s.index()].as_ref());
@@ -593,8 +493,8 @@ impl BodyFilter {
         out.posture = inferred.orientations;
         inferred.judge(&out.orientations, &mut out.sigma_rad);
         // A sensor that is silent yet is no reason to infer an angle.
-        let silent = self.sensors.each_ref().map(Option::is_some);
-        let shown = inferred.between(&out.orientations, &silent);
+        let worn = self.sensors.each_ref().map(Option::is_some);
+        let shown = inferred.between(&out.orientations, &worn);
         out.angles_rad = angles(&shown);
         self.estimate.spread = self.spread(&shown, &inferred.joints_rad2, &spreads);
         let out = &mut self.estimate;
@@ -616,14 +516,13 @@ impl BodyFilter {
                 filter.watch(which, out.faults[segment.index()] == Some(Cause::Misfit), dt_s);
             }
         }
-        let worn = BodySegment::ALL
+        let first = BodySegment::ALL
             .into_iter()
             .filter_map(|segment| Some((segment, self.sensors[segment.index()].as_ref()?)))
             .find(|(_, sensor)| sensor.started);
-        let trunk = worn.map(|(_, sensor)| sensor);
-        out.heading = match trunk {
+        out.heading = match first {
             None => Heading::Unknown,
-            Some(sensor) if sensor.magnetometer && !sensor.ahrs.magnetic_disturbance() => {
+            Some((_, sensor)) if sensor.magnetometer && !sensor.ahrs.magnetic_disturbance() => {
                 self.held_s = 0.0;
                 Heading::Field
             }
@@ -632,137 +531,11 @@ impl BodyFilter {
                 Heading::Held(self.held_s)
             }
         };
-        out.heading_sigma_rad = worn.map_or(std::f64::consts::PI, |(segment, sensor)| {
+        out.heading_sigma_rad = first.map_or(std::f64::consts::PI, |(segment, sensor)| {
             let [_, heading] = sensor.lasting_rad2(self.held_s, self.links.rad2(segment));
             heading.sqrt().min(std::f64::consts::PI)
         });
     }
-}
-
-impl Sensor {
-    /// Whether movements show how it sits: what was given as exact stays.
-    fn is_learnt(&self) -> bool {
-        self.mount.sigma_rad != Vector3::zeros()
-    }
-
-    /// What calibrated sensors are systematically wrong by, rms about an axis, rad: the accelerometer's bias tilts, the magnetometer'
-    /// iron turns the heading, the gyro's bias for `held_s` while the field is not believed, or without one `drift_rad2`, and its mounting is as good as the calibration was.
-    fn systematic_rad(&self, held_s: f64, drift_rad2: f64) -> f64 {
-        libm::hypot(self.unmounted_rad(held_s, drift_rad2), self.mount.rms_rad()).min(std::f64::consts::PI)
-    }
-
-    /// The same without the mounting.
-    fn unmounted_rad(&self, held_s: f64, drift_rad2: f64) -> f64 {
-        let [tilt, heading] = self.lasting_rad2(held_s, drift_rad2);
-        ((2.0 * tilt + heading) / 3.0).sqrt().min(std::f64::consts::PI)
-    }
-
-    /// The same as variances of a tilt about each level axis and of the heading, rad².
-    fn lasting_rad2(&self, held_s: f64, drift_rad2: f64) -> [f64; 2] {
-        let magnetometer_rad2 = CALIBRATED_HEADING_RAD.powi(2) + (DRIFT_RAD_S * held_s).powi(2);
-        let heading = if self.magnetometer { magnetometer_rad2 } else { drift_rad2 };
-        [CALIBRATED_TILT_RAD.powi(2), heading]
-    }
-
-    fn push(&mut self, sample: Option<&ImuSample>, age_s: f64, dt_s: f64) {
-        self.watch.sample(sample, dt_s);
-        self.behind_s += dt_s;
-        self.settled_s = if self.started && self.behind_s <= HOLD_S { self.settled_s + dt_s } else { 0.0 };
-        let Some(sample) = sample.filter(|sample| health::usable(sample)) else { return };
-        if !self.started && self.behind_s < CALM_S && !is_calm(sample) {
-            return;
-        }
-        let since_s = (self.behind_s - age_s).max(1e-4);
-        self.behind_s = age_s;
-        self.step_s = since_s;
-        if since_s > AWAY_S {
-            self.step_s = FIRST_S;
-            self.ahrs.resume();
-        }
-        self.patience_s -= self.step_s;
-        self.magnetometer |= sample.mag.is_some();
-        let before = self.ahrs.angular_velocity_rad_s();
-        self.ahrs.push(sample, self.step_s);
-        self.accel_rad_s2 = (self.ahrs.angular_velocity_rad_s() - before) / self.step_s;
-        if !self.started {
-            self.started = true;
-            if !self.magnetometer {
-                let heading = self.mount.heading_rad.unwrap_or_else(|| {
-                    let segment = self.ahrs.orientation_6d() * self.mount.q_segment_sensor.inverse();
-                    -yaw_from_upright(&segment)
-                });
-                self.heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading);
-            }
-        }
-    }
-
-    /// It sits on another segment than was said, there, and as it was found to sit when the body began.
-    fn reseat(&mut self, offset_m: Vector3<f64>) {
-        self.began.offset_m = offset_m;
-        self.mount = self.began;
-        self.watch = Watch::default();
-    }
-
-    /// What was taken for its segment's front is its back.
-    fn face_back(&mut self) {
-        let half = |axis| UnitQuaternion::from_axis_angle(&axis, std::f64::consts::PI);
-        self.began.q_segment_sensor = half(Vector3::y_axis()) * self.began.q_segment_sensor;
-        self.mount = self.began;
-        if !self.magnetometer {
-            self.heading = half(Vector3::z_axis()) * self.heading;
-        }
-    }
-
-    /// Its segment looks so far to the left of the room's x, rad; nothing where a field tells that.
-    fn look(&mut self, heading_rad: f64) {
-        if let (false, Some(q)) = (self.magnetometer, self.orientation()) {
-            let turn_rad = heading_rad - yaw_from_upright(&q);
-            self.heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_rad) * self.heading;
-        }
-    }
-
-    /// Segment to room by this sensor alone.
-    fn orientation(&self) -> Option<UnitQuaternion<f64>> {
-        let q_room_sensor = if self.magnetometer {
-            self.ahrs.orientation()
-        } else {
-            self.heading * self.ahrs.orientation_6d()
-        };
-        // Since its last sample it went on turning as it did.
-        let ahead_s = self.behind_s.min(HOLD_S);
-        let rotation = UnitQuaternion::from_scaled_axis(self.ahrs.angular_velocity_rad_s() * ahead_s);
-        let waits = self.patience_s > 0.0 && !self.ahrs.has_field();
-        (self.started && !waits).then(|| q_room_sensor * rotation * self.mount.q_segment_sensor.inverse())
-    }
-
-    /// What a magnetometer in the sensor would say, sensor axes: north, if the heading is believed at all.
-    fn north(&self) -> Option<Vector3<f64>> {
-        (self.started && self.magnetometer).then(|| self.ahrs.orientation().inverse() * Vector3::y())
-    }
-}
-
-/// A hand hangs straight on its forearm in a pose, however that one leans: what movements show the forearm's mounting to be wrong by, the hand's is wrong by, too,
-/// as far as both go by the pose alone. The same of a foot and its shank.
-fn share(sensors: &mut [Option<Sensor>; SEGMENTS], lower: BodySegment, end: BodySegment) {
-    let Some((mount, began)) = sensors[lower.index()].as_ref().map(|lower| (lower.mount, lower.began)) else {
-        return;
-    };
-    let Some(end) = &mut sensors[end.index()] else { return };
-    if began.sigma_rad == Vector3::zeros() || end.began.sigma_rad == Vector3::zeros() {
-        return;
-    }
-    let turned_rad = so3::log(&(mount.q_segment_sensor * began.q_segment_sensor.inverse()));
-    let variances = |mount: &SensorMount| mount.sigma_rad.component_mul(&mount.sigma_rad);
-    let (known, before, own) = (variances(&mount), variances(&began), variances(&end.began));
-    let part = before.zip_map(&own, |lower, end| (lower / end).min(1.0));
-    end.mount.q_segment_sensor = so3::exp(&turned_rad.component_mul(&part)) * end.began.q_segment_sensor;
-    let shown = (before - known).map(|shown| shown.max(0.0));
-    end.mount.sigma_rad = (own - shown.component_mul(&part).component_mul(&part)).map(f64::sqrt);
-}
-
-/// Whether its specific force may be gravity's, more or less.
-fn is_calm(sample: &ImuSample) -> bool {
-    (sample.accel_m_s2.norm() / GRAVITY_M_S2 - 1.0).abs() < CALM
 }
 
 /// By how far a segment is turned about the vertical from a body that looks along the room's x, rad: the twist of its rotation

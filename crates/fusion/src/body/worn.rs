@@ -9,13 +9,13 @@
 //! that place is estimated with the sensor's own, which nobody knows better than to some centimetres either. Elbows and knees bend one way: where all that bend do so
 //! backwards, the body faces the other way, which is how arms that were swapped make a T-pose look.
 
-use nalgebra::{Matrix3, Matrix3x6, Matrix6, UnitQuaternion, Vector3, Vector6};
-use posed_geometry::so3::lever;
+use nalgebra::{Matrix3, Matrix3x6, Matrix6, Vector3, Vector6};
 use posed_state::Plain;
 
-use super::SensorMount;
-use super::joint_angles;
+use super::links::Links;
+use super::moving::Moving;
 use super::skeleton::{BodySegment, Limb, SEGMENTS, Skeleton};
+use super::{BodyFilter, BodySamples, SETTLED_S, SensorMount, health, joint_angles};
 
 /// It looks at samples so far apart, s.
 const PERIOD_S: f64 = 0.05;
@@ -73,34 +73,6 @@ impl Group {
     }
 }
 
-/// What one sensor shows of its segment at one time.
-#[derive(Clone, Copy)]
-pub(super) struct Shown {
-    /// Segment to room, by this sensor alone, as it was said to sit.
-    pub(super) q_room_segment: UnitQuaternion<f64>,
-    /// Segment's axes, rad/s, rad/s², m/s².
-    pub(super) angular_velocity_rad_s: Vector3<f64>,
-    pub(super) accel_rad_s2: Vector3<f64>,
-    pub(super) specific_force_m_s2: Vector3<f64>,
-}
-
-impl Shown {
-    /// Specific force at a point of the segment, relative to the sensor, segment's axes, m: in the room, m/s².
-    fn at(&self, point_m: &Vector3<f64>) -> Vector3<f64> {
-        self.q_room_segment * (self.specific_force_m_s2 + self.lever() * point_m)
-    }
-
-    /// Derivative of the specific force by the place at which it is felt, segment's axes, 1/s².
-    fn lever(&self) -> Matrix3<f64> {
-        lever(&self.angular_velocity_rad_s, &self.accel_rad_s2)
-    }
-
-    /// The same with the room's axes for the force.
-    fn lever_in_room(&self) -> Matrix3<f64> {
-        self.q_room_segment.to_rotation_matrix() * self.lever()
-    }
-}
-
 /// Where sensors sit instead, and whether the body faces the other way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Verdict {
@@ -126,6 +98,11 @@ struct Pair {
     bent_s: [[[f64; 2]; 4]; 4],
 }
 
+/// Derivative of the specific force by its place in the segment, with the room's axes for the force, 1/s².
+fn lever_in_room(moving: &Moving) -> Matrix3<f64> {
+    moving.q_room_segment.to_rotation_matrix() * moving.lever()
+}
+
 /// Normal equations of where on the trunk a limb hangs, if this sensor sits on its upper segment: unknown are by how much the sensor sits elsewhere, and where the joint
 /// is relative to the trunk's sensor, m.
 #[derive(Clone, Debug, PartialEq, Plain)]
@@ -142,11 +119,11 @@ impl Default for Hung {
 }
 
 impl Hung {
-    fn push(&mut self, upper: &Shown, upper_m: &Vector3<f64>, trunk: &Shown, keep: f64, dt_s: f64) {
+    fn push(&mut self, upper: &Moving, upper_m: &Vector3<f64>, trunk: &Moving, keep: f64, dt_s: f64) {
         let apart = upper.at(&-upper_m) - trunk.at(&Vector3::zeros());
         let mut by = Matrix3x6::zeros();
-        by.fixed_columns_mut::<3>(0).copy_from(&-upper.lever_in_room());
-        by.fixed_columns_mut::<3>(3).copy_from(&trunk.lever_in_room());
+        by.fixed_columns_mut::<3>(0).copy_from(&-lever_in_room(upper));
+        by.fixed_columns_mut::<3>(3).copy_from(&lever_in_room(trunk));
         self.normal = self.normal * keep + by.transpose() * by * dt_s;
         self.right = self.right * keep + by.transpose() * apart * dt_s;
         self.square = self.square * keep + apart.norm_squared() * dt_s;
@@ -192,7 +169,7 @@ impl Worn {
     /// Takes what the sensors show; [`Self::is_due`] has said that it is time.
     pub(super) fn push(
         &mut self,
-        shown: &[Option<Shown>; SEGMENTS],
+        shown: &[Option<Moving>; SEGMENTS],
         mounts: &[Option<SensorMount>; SEGMENTS],
         skeleton: &Skeleton,
     ) {
@@ -241,6 +218,46 @@ impl Worn {
         }
         let as_said = taken_from.iter().enumerate().all(|(segment, from)| segment == *from);
         (faces_back || !as_said).then_some(Verdict { taken_from, faces_back })
+    }
+}
+
+impl BodyFilter {
+    /// Whether movements show that calibrated sensors sit on other segments than was said; they count where they sit from then on.
+    pub(super) fn watch_straps(&mut self, samples: &BodySamples) {
+        let began = self.sensors.each_ref().map(|sensor| {
+            let began = sensor.as_ref()?.began;
+            (began.sigma_rad != Vector3::zeros()).then_some(began)
+        });
+        let shown = std::array::from_fn(|index| {
+            let (sensor, began) = (self.sensors[index].as_ref()?, began[index]?);
+            let sample = samples[index].filter(health::usable)?;
+            let q = &began.q_segment_sensor;
+            let q_room_segment = sensor.orientation()? * sensor.mount.q_segment_sensor * q.inverse();
+            (sensor.settled_s >= SETTLED_S).then(|| sensor.moving(&sample, q, q_room_segment))
+        });
+        self.worn.push(&shown, &began, &self.skeleton);
+        if let Some(verdict) = self.worn.verdict(&self.skeleton, &began) {
+            self.reseat(&verdict);
+        }
+    }
+
+    /// Sensors sit where movements have shown, as they were found to sit by poses: in those all segments stand alike.
+    fn reseat(&mut self, verdict: &Verdict) {
+        let before = std::mem::take(&mut self.sensors);
+        self.sensors = std::array::from_fn(|index| {
+            let mut sensor = before[verdict.taken_from[index]].clone()?;
+            sensor.reseat(before[index].as_ref().map_or(sensor.began.offset_m, |worn| worn.began.offset_m));
+            if verdict.faces_back {
+                sensor.face_back();
+            }
+            Some(sensor)
+        });
+        self.taken_from = verdict.taken_from.map(|from| self.taken_from[from]);
+        let mounts = self.sensors.each_ref().map(|sensor| sensor.as_ref().map(|sensor| sensor.mount));
+        self.limbs.iter_mut().for_each(|limb| limb.remount(&self.skeleton, &mounts));
+        self.last_motions = [None; 2];
+        self.worn = Worn::default();
+        self.links = Links::default();
     }
 }
 
@@ -306,7 +323,7 @@ impl Pair {
     fn push(
         &mut self,
         group: &Group,
-        shown: &[Option<Shown>; SEGMENTS],
+        shown: &[Option<Moving>; SEGMENTS],
         mounts: &[Option<SensorMount>; SEGMENTS],
         skeleton: &Skeleton,
         dt_s: f64,
@@ -316,7 +333,7 @@ impl Pair {
         let Some((trunk, _)) = of(group.trunk) else { return };
         let [Some(a), Some(b), Some(c), Some(d)] = segments.map(of) else { return };
         let worn = [a, b, c, d];
-        let turns = |shown: &Shown| shown.angular_velocity_rad_s.norm() > SLOW_RAD_S;
+        let turns = |shown: &Moving| shown.angular_velocity_rad_s.norm() > SLOW_RAD_S;
         if !worn.iter().any(|(shown, _)| turns(shown)) {
             return;
         }

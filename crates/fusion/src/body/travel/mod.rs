@@ -435,17 +435,3 @@ impl TravelFilter {
 fn lower_m([right, left]: &[Vector3<f64>; 2]) -> f64 {
     right.z.min(left.z)
 }
-
-/// Acceleration, room, m/s², of a point so far from a sensor, m, sensor axes, on one rigid body; `turns` are the angular velocities of this time and of one
-/// `dt_s` before, rad/s.
-pub(super) fn carried(
-    q_room_sensor: &UnitQuaternion<f64>,
-    specific_force_m_s2: &Vector3<f64>,
-    turns: [&Vector3<f64>; 2],
-    dt_s: f64,
-    point_m: &Vector3<f64>,
-) -> Vector3<f64> {
-    let [now, before] = turns;
-    let angular_m_s2 = ((now - before) / dt_s).cross(point_m) + now.cross(&now.cross(point_m));
-    q_room_sensor * (specific_force_m_s2 + angular_m_s2) - Vector3::z() * GRAVITY_M_S2
-}
