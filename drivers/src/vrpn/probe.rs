@@ -109,7 +109,7 @@ mod tests {
         let mut inquiry = inquiry(now);
         assert_eq!(inquiry.poll_transmit().as_deref(), Some(&GREETING[..]));
         let mut bytes = GREETING.to_vec();
-        for (number, name) in [(0, "VRPN Control"), (1, "Head"), (2, "Wand")] {
+        for (number, name) in [(0, wire::CONTROL), (1, "Head"), (2, "Wand")] {
             wire::description(system::SENDER, number, name, 0, &mut bytes);
         }
         wire::description(system::TYPE, 4, types::POSE, 0, &mut bytes);

@@ -14,7 +14,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::reader::{Piece, Reader};
-use super::wire::{self, From, GREETING, MAX_NAME, Message, Pose, system, types};
+use super::wire::{self, CONTROL, From, GREETING, MAX_NAME, Message, Pose, system, types};
 use crate::arrivals::Arrivals;
 use crate::flock::SettingsError;
 use crate::outbox::Outbox;
@@ -33,8 +33,6 @@ const PINGS: u8 = 4;
 const MOST: usize = 64;
 /// The numbers of the trackers that are named in a sentence where one is missing.
 const NAMED: usize = 8;
-/// What the original's servers call themselves.
-const CONTROL: &str = "VRPN Control";
 /// Our number for the type of pings.
 const PING: i32 = 0;
 

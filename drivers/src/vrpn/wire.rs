@@ -28,6 +28,8 @@ pub const POSE: usize = 64;
 /// Bytes of a text's payload.
 const TEXT: usize = 1032;
 
+/// What the original's servers call themselves, beside their trackers.
+pub const CONTROL: &str = "VRPN Control";
 /// Names of types, as both sides describe them.
 pub mod types {
     #![expect(missing_docs, reason = "the protocol's names")]

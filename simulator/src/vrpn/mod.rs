@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use posed_drivers::Timestamp;
-use posed_drivers::vrpn::wire::{self, From, GREETING, Messages, system, types};
+use posed_drivers::vrpn::wire::{self, CONTROL, From, GREETING, Messages, system, types};
 
 use crate::chassis::{Chassis, Unit};
 use crate::device::{Pace, Sensor, shown_s};
@@ -28,7 +28,6 @@ const SIGMA_RAD: f64 = 1e-3;
 const POSE: i32 = 4;
 const TEXT: i32 = 7;
 const PONG: i32 = 8;
-const CONTROL: &str = "VRPN Control";
 
 /// One sensor of a tracker.
 #[derive(Debug)]
@@ -244,8 +243,7 @@ impl Unit for Vrpn {
             Fault::CounterRestart { .. } => self.clock_start = t,
             Fault::LostPeriods { count, .. } => self.leave_out = count,
             Fault::WrongOutput { .. } => {
-                let (_, end_s) = fault.span_s();
-                self.wrong_until = Some(Timestamp::from_secs_f64(end_s.min(1e9)));
+                self.wrong_until = Some(fault.until());
             }
             _ => return false,
         }

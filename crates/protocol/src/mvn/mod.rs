@@ -18,7 +18,7 @@ mod wire;
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
-use self::motion::Track;
+use self::motion::{Parabola, Track};
 use self::wire::Datagram;
 use crate::rate::Rate;
 use posed_fusion::body::{BodySegment, Skeleton, WHOLE, WholeSegment, completed, whole, whole_t_pose};
@@ -108,8 +108,9 @@ impl Publisher {
         }
         emit(&figure.joint_angles(&head));
         if self.kinematics {
-            emit(&figure.linear(&head, &self.track));
-            emit(&figure.angular(&head, &self.track));
+            let parabola = self.track.parabola();
+            emit(&figure.linear(&head, &parabola));
+            emit(&figure.angular(&head, &parabola));
             let mut mass = Datagram::new(24, &head, 1);
             mass.numbers(motion::centre_of_mass_m(&figure).iter());
             emit(&mass.finish());
@@ -200,10 +201,10 @@ impl Figure {
     }
 
     /// Type 21: places, velocities and accelerations, m and s.
-    fn linear(&self, head: &wire::Head, track: &Track) -> Vec<u8> {
+    fn linear(&self, head: &wire::Head, parabola: &Parabola<'_>) -> Vec<u8> {
         let mut datagram = Datagram::new(21, head, WHOLE as u8);
         for (id, at_m, _) in self.segments() {
-            let [velocity, acceleration] = track.derivatives(|of| of.origins_m[id as usize - 1] - at_m);
+            let [velocity, acceleration] = parabola.derivatives(|of| of.origins_m[id as usize - 1] - at_m);
             datagram.count(id);
             datagram.numbers(at_m.iter().chain(velocity.iter()).chain(acceleration.iter()));
         }
@@ -211,13 +212,13 @@ impl Figure {
     }
 
     /// Type 22: quaternions, angular velocities and accelerations in the room, degrees and s.
-    fn angular(&self, head: &wire::Head, track: &Track) -> Vec<u8> {
+    fn angular(&self, head: &wire::Head, parabola: &Parabola<'_>) -> Vec<u8> {
         let mut datagram = Datagram::new(22, head, WHOLE as u8);
         for (id, _, q) in self.segments() {
             let at = id as usize - 1;
             let now = self.orientations[at].inverse();
             let [velocity, acceleration] =
-                track.derivatives(|of| so3::log(&(of.orientations[at] * now)).map(f64::to_degrees));
+                parabola.derivatives(|of| so3::log(&(of.orientations[at] * now)).map(f64::to_degrees));
             datagram.count(id);
             let turned = [&q.w, &q.i, &q.j, &q.k].into_iter();
             datagram.numbers(turned.chain(velocity.iter()).chain(acceleration.iter()));

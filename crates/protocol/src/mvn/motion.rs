@@ -31,19 +31,37 @@ impl Track {
         self.0.clear();
     }
 
-    /// First and second derivative at the newest body of what `of` says of one, least squares of a parabola; zero while there are fewer than three.
-    pub(super) fn derivatives(&self, of: impl Fn(&Figure) -> Vector3<f64>) -> [Vector3<f64>; 2] {
-        let mut normal = Matrix3::<f64>::zeros();
-        let mut right = Matrix3::<f64>::zeros();
+    /// A parabola through them, least squares.
+    pub(super) fn parabola(&self) -> Parabola<'_> {
         let now_s = self.0.back().map_or(0.0, |(t_s, _)| *t_s);
-        for (t_s, figure) in &self.0 {
-            let t_s = t_s - now_s;
-            let powers = Vector3::new(1.0, t_s, 0.5 * t_s * t_s);
-            normal += powers * powers.transpose();
-            right += powers * of(figure).transpose();
+        let powers = |t_s: f64| Vector3::new(1.0, t_s - now_s, 0.5 * (t_s - now_s).powi(2));
+        let normal: Matrix3<f64> =
+            self.0.iter().map(|(t_s, _)| powers(*t_s) * powers(*t_s).transpose()).sum();
+        let inverse = normal.try_inverse().filter(|_| self.0.len() > 2).unwrap_or_default();
+        let mut weights = [Vector3::zeros(); WINDOW];
+        for (weight, (t_s, _)) in weights.iter_mut().zip(&self.0) {
+            *weight = inverse * powers(*t_s);
         }
-        let fit = normal.try_inverse().filter(|_| self.0.len() > 2).map(|inverse| inverse * right);
-        fit.map_or([Vector3::zeros(); 2], |fit| [fit.row(1).transpose(), fit.row(2).transpose()])
+        Parabola { figures: &self.0, weights }
+    }
+}
+
+/// What of each body counts for a value at the newest of them and for its derivatives, in this order; nothing while there are fewer than three.
+pub(super) struct Parabola<'a> {
+    figures: &'a VecDeque<(f64, Figure)>,
+    weights: [Vector3<f64>; WINDOW],
+}
+
+impl Parabola<'_> {
+    /// First and second derivative at the newest body of what `of` says of one.
+    pub(super) fn derivatives(&self, of: impl Fn(&Figure) -> Vector3<f64>) -> [Vector3<f64>; 2] {
+        let mut derivatives = [Vector3::zeros(); 2];
+        for ((_, figure), weight) in self.figures.iter().zip(&self.weights) {
+            let value = of(figure);
+            derivatives[0] += value * weight.y;
+            derivatives[1] += value * weight.z;
+        }
+        derivatives
     }
 }
 
