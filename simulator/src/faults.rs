@@ -215,6 +215,12 @@ impl Fault {
         }
     }
 
+    /// When it is over; after thirty years where it lasts for good.
+    pub fn until(&self) -> Timestamp {
+        let (_, end_s) = self.span_s();
+        Timestamp::from_secs_f64(end_s.min(1e9))
+    }
+
     /// From when to when it lasts, s of the stage's clock; a single moment where both are equal, infinite where it lasts for
     /// good.
     pub fn span_s(&self) -> (f64, f64) {

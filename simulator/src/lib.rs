@@ -28,6 +28,7 @@ pub mod inertial;
 pub mod line;
 pub mod magnetic;
 pub mod motion;
+mod motion_file;
 mod motionstar;
 mod port;
 pub mod primitives;

@@ -12,9 +12,10 @@ use serde::{Deserialize, Serialize};
 
 pub use spec::{DeviceSpec, SensorSpec, StageSpec};
 
+use crate::body::take::TakeError;
 use crate::faults::Fault;
 use crate::inertial::{EarthSpec, ImuClass};
-use crate::motion::{FileError, Motion};
+use crate::motion::Motion;
 
 /// No time is later, no duration longer: some thirty years, s.
 const LAST_S: f64 = 1e9;
@@ -270,7 +271,7 @@ pub enum ScenarioError {
         /// Name of the body.
         body: String,
         /// Why.
-        source: FileError,
+        source: TakeError,
     },
 }
 

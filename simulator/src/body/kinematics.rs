@@ -2,7 +2,7 @@
 //!
 //! Rotations are products of elementary matrices, written out from the table; left limbs have their own signs.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 /// Names of the body segments, in the order of all arrays here; `_r` is the right side, `_l` the left.
 pub const SEGMENT_NAMES: [&str; SEGMENTS] = [
@@ -135,6 +135,18 @@ pub struct Placement {
     pub axes: Matrix3<f64>,
     /// Origin in the room, m.
     pub origin_m: Vector3<f64>,
+}
+
+impl Placement {
+    /// Segment to room.
+    pub fn orientation(&self) -> UnitQuaternion<f64> {
+        quaternion(self.axes)
+    }
+}
+
+/// Of a rotation.
+pub(super) fn quaternion(axes: Matrix3<f64>) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes))
 }
 
 /// All segments, in the order of [`SEGMENT_NAMES`].

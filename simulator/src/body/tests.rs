@@ -1,6 +1,6 @@
 //! The simulator's kinematics against the poses by hand that `posed`'s are held against too.
 
-use nalgebra::{Rotation3, UnitQuaternion};
+use nalgebra::UnitQuaternion;
 
 use super::*;
 
@@ -104,14 +104,13 @@ fn angular_velocities_add_up_to_the_rotation() {
     let (_, first) = wearer.step();
     let index = 5;
     let mount = wearer.mounting(index).0;
-    let orientation = |axes| UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
-    let mut turned = orientation(first.body[index].axes);
+    let mut turned = first.body[index].orientation();
     let mut last = first;
     for _ in 0..3000 {
         let (samples, truth) = wearer.step();
         turned *= UnitQuaternion::from_scaled_axis(mount * samples[index].gyro_rad_s * 1e-3);
         last = truth;
     }
-    let off = orientation(last.body[index].axes).angle_to(&turned);
+    let off = last.body[index].orientation().angle_to(&turned);
     assert!(off < 2e-3, "{off} rad");
 }

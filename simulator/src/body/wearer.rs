@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use posed_geometry::GRAVITY_M_S2;
 
-use super::kinematics::{Build, Placement, SEGMENT_NAMES, SEGMENTS};
+use super::kinematics::{Build, Placement, SEGMENT_NAMES, SEGMENTS, quaternion};
 use super::script::Script;
 use super::strap::Strap;
 use super::take::Take;
@@ -275,8 +275,7 @@ impl Wearer {
             // By way of the quaternion: a matrix' angle is the arc cosine of its trace, which rounding takes over one.
             let rotation_vector_rad = |a: usize, b: usize| {
                 let rotation = times[a][index].axes.transpose() * times[b][index].axes;
-                UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation))
-                    .scaled_axis()
+                quaternion(rotation).scaled_axis()
             };
             let angular_velocity_rad_s =
                 (rotation_vector_rad(1, 3) * 8.0 - rotation_vector_rad(0, 4)) / (12.0 * STEP_S);

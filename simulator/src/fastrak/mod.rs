@@ -178,8 +178,7 @@ impl Unit for Fastrak {
             (Fault::Error { code, .. }, Some(k)) => self.stations[k].status = b'A' + code % 26,
             (Fault::LostPeriods { count, .. }, _) => self.leave_out = *count,
             (Fault::WrongOutput { .. }, _) => {
-                let (_, end_s) = fault.span_s();
-                self.wrong_until = Some(Timestamp::from_secs_f64(end_s.min(1e9)));
+                self.wrong_until = Some(fault.until());
             }
             _ => return false,
         }

@@ -1,14 +1,13 @@
 //! Real motion from files: poses in CSV, joints in BVH.
 
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::spline::{PoseSpline, Row};
-use crate::body::take::TakeError;
-use crate::bvh::{Bvh, BvhError};
+use crate::bvh::Bvh;
+use crate::motion_file::{Cells, FileError, MotionText};
 
 /// Which axis of a file points up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
@@ -59,53 +58,6 @@ fn one() -> f64 {
     1.0
 }
 
-/// Why a file of motion was refused.
-#[derive(Debug, thiserror::Error)]
-pub enum FileError {
-    /// It cannot be read.
-    #[error("{path}: {source}")]
-    Io {
-        /// Which file.
-        path: PathBuf,
-        /// What the operating system said.
-        source: std::io::Error,
-    },
-    /// Its name says neither CSV nor BVH.
-    #[error("{0}: the name should end in .csv, .csv.gz or .bvh")]
-    Kind(PathBuf),
-    /// It is no CSV table.
-    #[error("{path}: {source}")]
-    Csv {
-        /// Which file.
-        path: PathBuf,
-        /// What is wrong, with the line.
-        source: csv::Error,
-    },
-    /// A row of a CSV file makes no sense.
-    #[error("{path}: line {line}, column {column}: {problem}")]
-    Row {
-        /// Which file.
-        path: PathBuf,
-        /// Line, from 1.
-        line: u64,
-        /// Name of the column.
-        column: String,
-        /// What was expected and what stands there.
-        problem: String,
-    },
-    /// A BVH file makes no sense.
-    #[error("{path}: {source}")]
-    Bvh {
-        /// Which file.
-        path: PathBuf,
-        /// What is wrong, and where.
-        source: BvhError,
-    },
-    /// A recording of a person was refused.
-    #[error(transparent)]
-    Take(#[from] TakeError),
-}
-
 /// The motion in a file: named tracks in the room, cubic splines through the file's samples with rest at both ends of each track.
 #[derive(Clone, Debug)]
 pub struct Tracks {
@@ -124,23 +76,14 @@ impl Tracks {
     /// The file cannot be read, or its name or content is not one of those kinds: see [`FileError`].
     pub fn read(file: &File, folder: &Path) -> Result<Self, FileError> {
         let path = folder.join(&file.path);
-        let io = |source| FileError::Io { path: path.clone(), source };
-        let name = path.to_string_lossy().to_lowercase();
-        let bytes = std::fs::read(&path).map_err(io)?;
-        let raw = if name.ends_with(".bvh") {
-            let text = String::from_utf8_lossy(&bytes);
-            let bvh = Bvh::parse(&text).map_err(|source| FileError::Bvh { path: path.clone(), source })?;
-            bvh_tracks(&bvh)
-        } else if name.ends_with(".csv.gz") {
-            let mut plain = Vec::new();
-            flate2::read::MultiGzDecoder::new(bytes.as_slice()).read_to_end(&mut plain).map_err(io)?;
-            csv_tracks(&plain, &path)?
-        } else if name.ends_with(".csv") {
-            csv_tracks(&bytes, &path)?
-        } else {
-            return Err(FileError::Kind(path));
+        let text = MotionText::read(&path)?;
+        let is_bvh = matches!(text, MotionText::Bvh(_));
+        let raw = match text {
+            MotionText::Bvh(text) => bvh_tracks(
+                &Bvh::parse(&text).map_err(|source| FileError::Bvh { path: path.clone(), source })?,
+            ),
+            MotionText::Table(bytes) => csv_tracks(&bytes, &path)?,
         };
-        let is_bvh = name.ends_with(".bvh");
         let unit_m = file.unit_m.unwrap_or(if is_bvh { 0.01 } else { 1.0 });
         let up = file.up.unwrap_or(if is_bvh { Up::Y } else { Up::Z });
         Ok(Self::new(raw, &placement(up, file), unit_m, file))
@@ -226,18 +169,10 @@ fn bvh_tracks(bvh: &Bvh) -> Vec<RawTrack> {
 }
 
 fn csv_tracks(bytes: &[u8], path: &Path) -> Result<Vec<RawTrack>, FileError> {
-    let csv_error = |source| FileError::Csv { path: path.to_owned(), source };
-    let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_reader(bytes);
-    let header = reader.headers().map_err(csv_error)?.clone();
-    let column = |name: &str| header.iter().position(|cell| cell == name);
-    let wrong = |line, column: &str, problem: String| FileError::Row {
-        path: path.to_owned(),
-        line,
-        column: column.to_owned(),
-        problem,
-    };
+    let (mut reader, cells) = Cells::open(path, bytes)?;
+    let column = |name: &str| cells.header.iter().position(|cell| cell == name);
     let required =
-        |name: &str| column(name).ok_or_else(|| wrong(1, name, "the column is missing".to_owned()));
+        |name: &str| column(name).ok_or_else(|| cells.wrong(1, name, "the column is missing".to_owned()));
     let t_column = required("t")?;
     let positions = [required("x")?, required("y")?, required("z")?];
     let quaternion = match ["qw", "qx", "qy", "qz"].map(column) {
@@ -247,13 +182,9 @@ fn csv_tracks(bytes: &[u8], path: &Path) -> Result<Vec<RawTrack>, FileError> {
     let sensor = column("sensor");
     let mut tracks: Vec<RawTrack> = Vec::new();
     for record in reader.records() {
-        let record = record.map_err(csv_error)?;
+        let record = record.map_err(|source| cells.refused(source))?;
         let line = record.position().map_or(0, csv::Position::line);
-        let number = |column: usize| {
-            let cell = record.get(column).unwrap_or_default();
-            let number = cell.parse::<f64>().ok().filter(|x| x.is_finite());
-            number.ok_or_else(|| wrong(line, &header[column], format!("expected a number, found `{cell}`")))
-        };
+        let number = |column| cells.number(&record, column);
         if positions.iter().any(|&column| record.get(column).is_none_or(str::is_empty)) {
             continue; // An empty cell is no value: the sensor was not seen.
         }
@@ -265,7 +196,7 @@ fn csv_tracks(bytes: &[u8], path: &Path) -> Result<Vec<RawTrack>, FileError> {
         }
         let norm = row[3..].iter().map(|q| q * q).sum::<f64>().sqrt();
         if !(norm > 0.5 && norm < 2.0) {
-            return Err(wrong(line, "qw", format!("expected a unit quaternion, found length {norm}")));
+            return Err(cells.wrong(line, "qw", format!("expected a unit quaternion, found length {norm}")));
         }
         row[3..].iter_mut().for_each(|q| *q /= norm);
         let name = sensor.and_then(|column| record.get(column)).unwrap_or("sensor");
@@ -276,7 +207,7 @@ fn csv_tracks(bytes: &[u8], path: &Path) -> Result<Vec<RawTrack>, FileError> {
         let t = number(t_column)?;
         let track = &mut tracks[index];
         if track.t_s.last().is_some_and(|&last| last >= t) {
-            return Err(wrong(
+            return Err(cells.wrong(
                 line,
                 "t",
                 format!("expected a time after the last one of `{name}`, found {t}"),
@@ -286,7 +217,7 @@ fn csv_tracks(bytes: &[u8], path: &Path) -> Result<Vec<RawTrack>, FileError> {
         track.rows.push(row);
     }
     if tracks.is_empty() {
-        return Err(wrong(2, "t", "expected at least one row with a position".to_owned()));
+        return Err(cells.wrong(2, "t", "expected at least one row with a position".to_owned()));
     }
     Ok(tracks)
 }

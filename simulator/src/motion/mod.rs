@@ -15,14 +15,15 @@ mod spline;
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::body::take::Take;
+use crate::body::take::{Take, TakeError};
 use crate::body::{SEGMENTS, Strap};
 use crate::random::{Purpose, Random};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 pub use crate::bvh::{Bvh, BvhError};
-pub use file::{Ending, File, FileError, Tracks, Up};
+pub use crate::motion_file::FileError;
+pub use file::{Ending, File, Tracks, Up};
 pub use imu_calibration::ImuCalibration;
 pub use person::Person;
 pub use pole::Pole;
@@ -149,7 +150,7 @@ impl Body {
     ///
     /// # Errors
     /// The file cannot be read or holds no motion; the error names line and column of what is wrong in its text.
-    pub fn new(motion: Motion, folder: &Path) -> Result<Self, FileError> {
+    pub fn new(motion: Motion, folder: &Path) -> Result<Self, TakeError> {
         let tracks = match &motion {
             Motion::File(file) => Some(Arc::new(Tracks::read(file, folder)?)),
             _ => None,

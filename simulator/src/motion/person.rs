@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use nalgebra::{Isometry3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::body::take::Take;
@@ -73,9 +73,7 @@ impl Person {
         };
         posture.pelvis_m += Vector3::from(self.position_m);
         let placement = posture.place(&build)[segment];
-        let rotation =
-            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(placement.axes));
-        Isometry3::from_parts(placement.origin_m.into(), rotation)
+        Isometry3::from_parts(placement.origin_m.into(), placement.orientation())
     }
 }
 

@@ -207,8 +207,7 @@ impl Unit for MotionStar {
             }
             Fault::LostPeriods { count, .. } => self.leave_out = count,
             Fault::WrongOutput { .. } => {
-                let (_, end_s) = fault.span_s();
-                self.wrong_until = Some(Timestamp::from_secs_f64(end_s.min(1e9)));
+                self.wrong_until = Some(fault.until());
             }
             _ => return false,
         }

@@ -344,8 +344,7 @@ impl Unit for XImu3 {
                 self.members.iter_mut().for_each(|member| member.leave_out = *count);
             }
             (Fault::WrongOutput { .. }, _) => {
-                let (_, end_s) = fault.span_s();
-                self.wrong_until = Some(Timestamp::from_secs_f64(end_s.min(1e9)));
+                self.wrong_until = Some(fault.until());
             }
             _ => return false,
         }

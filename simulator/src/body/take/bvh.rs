@@ -2,11 +2,13 @@
 
 use std::path::Path;
 
-use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
 
 use super::names::{JOINTS, Joint, find, words};
 use super::recording::{Clip, Frame, Recording, TakeError, spine};
+use crate::body::kinematics::quaternion;
 use crate::bvh::Bvh;
+use crate::motion_file::FileError;
 
 /// A rest pose is upright whose shoulders are over its ankles within this (cosine).
 const UPRIGHT: f64 = 0.95;
@@ -17,7 +19,7 @@ impl Recording {
     /// # Errors
     /// Line and column of what is wrong, or the joint that is missing.
     pub fn of_bvh(path: &Path, text: &str) -> Result<Self, TakeError> {
-        let bvh = Bvh::parse(text).map_err(|source| TakeError::Bvh { path: path.to_owned(), source })?;
+        let bvh = Bvh::parse(text).map_err(|source| FileError::Bvh { path: path.to_owned(), source })?;
         let mut names: Vec<Vec<String>> = bvh.names().map(words).collect();
         let bones = names.len();
         // The end of the head's bone and of the toes' are points as joints are.
@@ -59,7 +61,7 @@ impl Recording {
                 hanging(rest[elbow] - rest[wrist], axes.column(0).into_owned()).map(|axes| (wrist, axes))
             };
             let head = head.or(chosen[Joint::Neck.index()])?;
-            Some([(head, quaternion(&axes)), hand(0)?, hand(1)?])
+            Some([(head, quaternion(axes)), hand(0)?, hand(1)?])
         });
         let begins = usize::from(bvh.frames() > 1 && bvh.rests(0));
         let mut clip = Clip::default();
@@ -90,9 +92,5 @@ fn facing(of: &impl Fn(Joint) -> Vector3<f64>) -> Option<Matrix3<f64>> {
 fn hanging(up: Vector3<f64>, forward: Vector3<f64>) -> Option<UnitQuaternion<f64>> {
     let up = up.try_normalize(0.0)?;
     let forward = (forward - up * up.dot(&forward)).try_normalize(0.1)?;
-    Some(quaternion(&Matrix3::from_columns(&[forward, up, forward.cross(&up)])))
-}
-
-fn quaternion(axes: &Matrix3<f64>) -> UnitQuaternion<f64> {
-    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*axes))
+    Some(quaternion(Matrix3::from_columns(&[forward, up, forward.cross(&up)])))
 }

@@ -7,6 +7,7 @@
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::knot::Knot;
+use super::median;
 use super::names::Joint;
 use super::recording::{Clip, Frame, Recording};
 use crate::body::kinematics::{about_x, about_y, about_z};
@@ -54,14 +55,8 @@ impl Neutral {
                 clip.frames.iter().map(|frame| fitter.axes(frame, &none)).collect::<Vec<_>>()
             })
             .collect();
-        let median = |values: &mut Vec<f64>| {
-            values.sort_by(f64::total_cmp);
-            values[values.len() / 2]
-        };
-        let spine =
-            median(&mut raw.iter().map(|axes| zxy(&(axes.pelvis.transpose() * axes.torso))[0]).collect());
-        let neck =
-            median(&mut raw.iter().map(|axes| zxy(&(axes.torso.transpose() * axes.head))[0]).collect());
+        let spine = median(raw.iter().map(|axes| zxy(&(axes.pelvis.transpose() * axes.torso))[0]));
+        let neck = median(raw.iter().map(|axes| zxy(&(axes.torso.transpose() * axes.head))[0]));
         // Who is low with an ankle stands on that foot.
         let feet = [0, 1].map(|side| {
             let mut heights: Vec<(f64, f64)> = recording
@@ -71,7 +66,7 @@ impl Neutral {
                 .collect();
             heights.sort_by(|a, b| a.0.total_cmp(&b.0));
             heights.truncate(heights.len().div_ceil(3));
-            -libm::asin(median(&mut heights.into_iter().map(|(_, pitch)| pitch).collect()).clamp(-1.0, 1.0))
+            -libm::asin(median(heights.into_iter().map(|(_, pitch)| pitch)).clamp(-1.0, 1.0))
         });
         Self { spine, neck, feet }
     }
@@ -193,7 +188,7 @@ fn hinge_axis(
 }
 
 /// Axes of a segment that goes up this way, with its right as near to that as can be.
-fn upward(up: Vector3<f64>, right: Vector3<f64>) -> Matrix3<f64> {
+pub(super) fn upward(up: Vector3<f64>, right: Vector3<f64>) -> Matrix3<f64> {
     let up = up.normalize();
     let right = (right - up * up.dot(&right)).try_normalize(1e-9).unwrap_or_else(|| {
         let other = Vector3::ith(up.iamin(), 1.0);

@@ -1,9 +1,9 @@
 //! A body at one time, by numbers that can be mixed: where the pelvis is, how segments are turned against those they hang on, and the angles of hinges.
 
-use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 use super::fit::{yxz, yzx, zxy};
-use crate::body::kinematics::{Posture, about_x, about_y, upright};
+use crate::body::kinematics::{Posture, about_x, about_y, quaternion, upright};
 
 /// Rotations of three degrees of freedom: pelvis (to the room), spine, neck, shoulders, hips, ankles; right before left.
 const TURNS: usize = 9;
@@ -26,9 +26,7 @@ pub(super) struct Move {
 
 impl Knot {
     pub(super) fn new(pelvis_m: Vector3<f64>, turns: [Matrix3<f64>; TURNS], angles: [f64; ANGLES]) -> Self {
-        let quaternion =
-            |axes| UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes)).into_inner();
-        Self { pelvis_m, turns: turns.map(quaternion), angles }
+        Self { pelvis_m, turns: turns.map(|axes| quaternion(axes).into_inner()), angles }
     }
 
     /// Somebody in the N-pose with the hips there, who looks along the room's x.

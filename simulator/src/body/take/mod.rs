@@ -240,6 +240,13 @@ fn quintic(x: f64) -> [f64; 6] {
     weights
 }
 
+/// The value in the middle; there is at least one.
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
 fn mean(builds: &[Build]) -> Option<Build> {
     let mean = |of: fn(&Build) -> f64| builds.iter().map(of).sum::<f64>() / builds.len() as f64;
     (!builds.is_empty()).then(|| Build {

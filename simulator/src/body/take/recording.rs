@@ -5,50 +5,14 @@ use std::path::{Path, PathBuf};
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::names::{JOINTS, Joint};
-use crate::bvh::BvhError;
+use crate::motion_file::{FileError, MotionText};
 
 /// Why a recording of a person was refused.
 #[derive(Debug, thiserror::Error)]
 pub enum TakeError {
-    /// It cannot be read.
-    #[error("{path}: {source}")]
-    Io {
-        /// Which file.
-        path: PathBuf,
-        /// What the operating system said.
-        source: std::io::Error,
-    },
-    /// Its name says neither CSV nor BVH.
-    #[error("{0}: the name should end in .csv, .csv.gz or .bvh")]
-    Kind(PathBuf),
-    /// It is no CSV table.
-    #[error("{path}: {source}")]
-    Csv {
-        /// Which file.
-        path: PathBuf,
-        /// What is wrong, with the line.
-        source: csv::Error,
-    },
-    /// A cell of a table makes no sense.
-    #[error("{path}: line {line}, column {column}: {problem}")]
-    Cell {
-        /// Which file.
-        path: PathBuf,
-        /// Line, from 1.
-        line: u64,
-        /// Name of the column.
-        column: String,
-        /// What was expected and what stands there.
-        problem: String,
-    },
-    /// A BVH file makes no sense.
-    #[error("{path}: {source}")]
-    Bvh {
-        /// Which file.
-        path: PathBuf,
-        /// What is wrong, and where.
-        source: BvhError,
-    },
+    /// It cannot be read, or makes no sense.
+    #[error(transparent)]
+    File(#[from] FileError),
     /// A joint is missing that a body cannot be followed without.
     #[error("{path}: no joint for the {joint} was found among {names}")]
     Joint {
@@ -102,20 +66,9 @@ impl Recording {
     /// # Errors
     /// The file cannot be read, or holds no person: see [`TakeError`].
     pub fn read(path: &Path, rate_hz: Option<f64>) -> Result<Self, TakeError> {
-        let io = |source| TakeError::Io { path: path.to_owned(), source };
-        let name = path.to_string_lossy().to_lowercase();
-        let bytes = std::fs::read(path).map_err(io)?;
-        if name.ends_with(".bvh") {
-            Self::of_bvh(path, &String::from_utf8_lossy(&bytes))
-        } else if name.ends_with(".csv.gz") {
-            let mut plain = Vec::new();
-            let mut decoder = flate2::read::MultiGzDecoder::new(bytes.as_slice());
-            std::io::Read::read_to_end(&mut decoder, &mut plain).map_err(io)?;
-            Self::of_table(path, &plain, rate_hz)
-        } else if name.ends_with(".csv") {
-            Self::of_table(path, &bytes, rate_hz)
-        } else {
-            Err(TakeError::Kind(path.to_owned()))
+        match MotionText::read(path)? {
+            MotionText::Bvh(text) => Self::of_bvh(path, &text),
+            MotionText::Table(bytes) => Self::of_table(path, &bytes, rate_hz),
         }
     }
 

@@ -5,9 +5,12 @@
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
+use super::fit::upward;
+use super::median;
 use super::names::Joint;
 use super::recording::{Frame, Recording, TakeError};
 use crate::body::Build;
+use crate::body::kinematics::quaternion;
 
 /// Thigh, shank and trunk together, of the height.
 const LONG: f64 = 0.245 + 0.246 + 0.288;
@@ -39,7 +42,7 @@ impl Recording {
             (_, true) => Matrix3::identity(),
             (_, false) => Matrix3::new(1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0),
         };
-        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(upright));
+        let rotation = quaternion(upright);
         for frame in self.frames_mut() {
             frame.points = frame.points.map(|point| upright * point);
             frame.turns = frame.turns.map(|turns| turns.map(|turn| rotation * turn));
@@ -56,11 +59,7 @@ impl Recording {
         if !(self.has(Joint::Hip(0)) && self.has(Joint::Hip(1))) {
             self.find_hips(toes);
         }
-        let median = |length: &dyn Fn(&Frame) -> f64| {
-            let mut lengths: Vec<f64> = self.frames().map(length).collect();
-            lengths.sort_by(f64::total_cmp);
-            lengths[lengths.len() / 2]
-        };
+        let median = |length: &dyn Fn(&Frame) -> f64| median(self.frames().map(length));
         let pair = |from: fn(usize) -> Joint, to: fn(usize) -> Joint| {
             let length = |side| median(&|frame: &Frame| (frame.at(to(side)) - frame.at(from(side))).norm());
             0.5 * (length(0) + length(1))
@@ -156,8 +155,7 @@ impl Recording {
                     let start = pelvis(frame, toes, has_spine);
                     let turned = *axes * Rotation3::new(0.5 * turn).matrix();
                     // And no further from where spine, shoulders and feet say it is than they may be wrong.
-                    let off = Rotation3::from_matrix_unchecked(start.transpose() * turned);
-                    let off = UnitQuaternion::from_rotation_matrix(&off).scaled_axis();
+                    let off = quaternion(start.transpose() * turned).scaled_axis();
                     let kept = off * (1.0 / (1.0 + (off.norm() / (3.0 * PELVIS_RAD)).powi(4)));
                     *axes = start * Rotation3::new(kept).matrix();
                 }
@@ -201,8 +199,7 @@ fn pelvis(frame: &Frame, toes: bool, has_spine: bool) -> Matrix3<f64> {
             right += foot.cross(&Vector3::z());
         }
     }
-    let right = (right - up * up.dot(&right)).normalize();
-    Matrix3::from_columns(&[up.cross(&right), up, right])
+    upward(up, right)
 }
 
 /// A rotation in axes of which x is turned round.

@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 
 use super::names::{JOINTS, Joint, find, words};
 use super::recording::{Clip, Frame, Recording, TakeError, spine};
+use crate::motion_file::Cells;
 
 /// What may stand behind the axis in the name of a column.
 const UNITS: [&str; 5] = ["m", "mm", "cm", "in", "inch"];
@@ -37,17 +38,8 @@ impl Recording {
     /// # Errors
     /// Line and column of what is wrong, or the joint that is missing.
     pub fn of_table(path: &Path, bytes: &[u8], rate_hz: Option<f64>) -> Result<Self, TakeError> {
-        let csv_error = |source| TakeError::Csv { path: path.to_owned(), source };
-        let mut reader =
-            csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_reader(bytes);
-        let header = reader.headers().map_err(csv_error)?.clone();
-        let wrong = |line, column: &str, problem: String| TakeError::Cell {
-            path: path.to_owned(),
-            line,
-            column: column.to_owned(),
-            problem,
-        };
-        let columns = Columns::of(&header);
+        let (mut reader, cells) = Cells::open(path, bytes)?;
+        let columns = Columns::of(&cells.header);
         let found = find(&columns.names, true).map_err(|joint| TakeError::Joint {
             path: path.to_owned(),
             joint,
@@ -59,20 +51,14 @@ impl Recording {
         })?;
         if columns.time.is_none() && rate_hz.is_none() {
             let problem = "there is no column of times: state `follows_rate_hz`".to_owned();
-            return Err(wrong(1, "t", problem));
+            return Err(cells.wrong(1, "t", problem).into());
         }
         let mut chosen: [Option<usize>; JOINTS] = std::array::from_fn(|index| found[index].first().copied());
         let mut clips: Vec<Clip> = Vec::new();
         let mut clip_name = None;
         for (row, record) in reader.records().enumerate() {
-            let record = record.map_err(csv_error)?;
-            let line = record.position().map_or(0, csv::Position::line);
-            let number = |column: usize| {
-                let cell = record.get(column).unwrap_or_default();
-                let number = cell.parse::<f64>().ok().filter(|x| x.is_finite());
-                number
-                    .ok_or_else(|| wrong(line, &header[column], format!("expected a number, found `{cell}`")))
-            };
+            let record = record.map_err(|source| cells.refused(source))?;
+            let number = |column| cells.number(&record, column);
             let point = |index: usize| -> Result<Vector3<f64>, TakeError> {
                 let [x, y, z] = columns.points[index];
                 Ok(Vector3::new(number(x)?, number(y)?, number(z)?))
@@ -97,8 +83,10 @@ impl Recording {
             };
             let Some(clip) = clips.last_mut() else { continue };
             if clip.t_s.last().is_some_and(|last_s| *last_s >= t_s) {
-                let column = columns.time.map_or("t", |(column, _)| &header[column]);
-                return Err(wrong(line, column, "expected a time after that of the row before".to_owned()));
+                let column = columns.time.map_or("t", |(column, _)| &cells.header[column]);
+                let line = record.position().map_or(0, csv::Position::line);
+                let problem = "expected a time after that of the row before".to_owned();
+                return Err(cells.wrong(line, column, problem).into());
             }
             let mut points = [Vector3::zeros(); JOINTS];
             for (at, index) in points.iter_mut().zip(&chosen) {
@@ -110,7 +98,8 @@ impl Recording {
             clip.frames.push(Frame { points, turns: None });
         }
         if clips.is_empty() {
-            return Err(wrong(2, &header[0], "expected at least one row with all joints".to_owned()));
+            let problem = "expected at least one row with all joints".to_owned();
+            return Err(cells.wrong(2, &cells.header[0], problem).into());
         }
         Ok(Self { path: path.to_owned(), has: chosen.map(|index| index.is_some()), clips })
     }

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion};
+use nalgebra::Matrix3;
 
 use super::*;
 use crate::body::{Activity, Script, TrueBody};
@@ -73,9 +73,7 @@ fn worst_deg(take: &Take, activity: Activity, segments: &[(usize, usize)]) -> f6
         let (found, expected) = (take.at(t_s).place(&take.build()), scripted(activity, t_s));
         for (segment, parent) in segments {
             let between = |body: &TrueBody| {
-                let q = |index: usize| {
-                    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(body[index].axes))
-                };
+                let q = |index: usize| body[index].orientation();
                 q(*parent).inverse() * q(*segment)
             };
             worst = worst.max(between(&found).angle_to(&between(&expected)).to_degrees());
