@@ -3,15 +3,14 @@
 //! Each person begins with what is wrong, and does everything right from the second round on, as people do once they have been warned.
 
 use nalgebra::{UnitQuaternion, Vector3};
-use posed_fusion::ahrs::ImuSample;
 use posed_fusion::body::{
     Assignment, BodyFilter, BodyParams, BodySamples, BodySegment, CalibrationError, Guide, Recorded,
     SEGMENTS, SensorMount, Skeleton, Thoroughness, assign, calibrate,
 };
 use posed_fusion::faults::Cause;
-use posed_simulator::body::{Activity, Build, Mistake, Sample, Script, SensorErrors, Wearer, WearerSpec};
+use posed_simulator::body::{Activity, Build, Mistake, Script, SensorErrors, Wearer, WearerSpec};
 
-use super::{HEIGHT_M, emit, outcomes};
+use super::{HEIGHT_M, emit, outcomes, recorded};
 
 const RATE_HZ: f64 = 50.0;
 const SEEDS: u64 = 6;
@@ -124,7 +123,7 @@ fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool
     for step in 0..(LONGEST_S * RATE_HZ) as usize {
         let t_s = step as f64 / RATE_HZ;
         let (samples, _) = wearer.step();
-        let mut samples = imus(&samples);
+        let mut samples = recorded(&samples, true);
         for (segment, sample) in BodySegment::ALL.into_iter().zip(&mut samples) {
             let off = match deceit {
                 Deceit::Off(segments) => segments.contains(&segment) && t_s < 30.0,
@@ -174,7 +173,7 @@ fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool
         let mut filter = BodyFilter::new(&Skeleton::from_height(HEIGHT_M), &mounts, &BodyParams::default());
         let mut named = false;
         for _ in 0..(WALKS_S * RATE_HZ) as usize {
-            let mut samples = imus(&walker.step().0);
+            let mut samples = recorded(&walker.step().0, true);
             exchange(deceit, &mut samples);
             let samples = places.map(|taken| samples[taken.index()]);
             let faults = filter.push(&samples, 1.0 / RATE_HZ).faults;
@@ -191,13 +190,6 @@ fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool
         };
     }
     if warned { Ended::Noticed } else { Ended::Right }
-}
-
-/// What the sensors send.
-fn imus(samples: &[Sample; SEGMENTS]) -> BodySamples {
-    samples.map(|Sample { gyro_rad_s, accel_m_s2, mag_ut }| {
-        Some(ImuSample { gyro_rad_s, accel_m_s2, mag: mag_ut })
-    })
 }
 
 /// Sensors that are swapped send under one another's names.

@@ -37,9 +37,9 @@ const SUBSETS: [(&str, &[BodySegment]); 9] = [
     ),
 ];
 
-/// What of a subset is told: its segments, or what is inferred of each kind.
+/// Sums over time of a segment's squared error, of the squared sigma that is stated, and of the errors within two of it.
 #[derive(Clone, Copy, Default)]
-struct Told {
+struct Sums {
     square: f64,
     said: f64,
     within: f64,
@@ -59,20 +59,20 @@ pub(super) fn few() {
         for (name, worn) in SUBSETS {
             let mounts = BodySegment::ALL.map(|s| all[s.index()].filter(|_| worn.contains(&s)));
             let mut filter = BodyFilter::new(&skeleton, &mounts, &BodyParams::default());
-            let mut told = [Told::default(); SEGMENTS];
+            let mut sums = [Sums::default(); SEGMENTS];
             for ((t_s, samples), truth) in run.recording.iter().zip(&run.truth) {
                 let estimate = filter.push(samples, 1.0 / RATE_HZ);
                 if *t_s < begin_s {
                     continue;
                 }
-                for (k, told) in told.iter_mut().enumerate() {
+                for (k, sums) in sums.iter_mut().enumerate() {
                     let off = estimate.posture[k].angle_to(&truth[k]);
                     // Sigma is about one of three axes.
                     let said = estimate.sigma_rad[k] * 3_f64.sqrt();
-                    told.square += off.powi(2);
-                    told.said += said.powi(2);
-                    told.within += f64::from(off < 2.0 * said);
-                    told.count += 1.0;
+                    sums.square += off.powi(2);
+                    sums.said += said.powi(2);
+                    sums.within += f64::from(off < 2.0 * said);
+                    sums.count += 1.0;
                 }
             }
             let limb = |of: [B; 2]| {
@@ -82,13 +82,13 @@ pub(super) fn few() {
                 })
             };
             let cell = |of: &[B], shown: bool| {
-                let of: Vec<Told> =
-                    of.iter().filter(|of| !worn.contains(of)).map(|of| told[of.index()]).collect();
+                let of: Vec<Sums> =
+                    of.iter().filter(|of| !worn.contains(of)).map(|of| sums[of.index()]).collect();
                 if of.is_empty() || !shown {
                     return "".to_owned();
                 }
-                let sum = |get: fn(&Told) -> f64| {
-                    of.iter().map(get).sum::<f64>() / of.iter().map(|told| told.count).sum::<f64>()
+                let sum = |get: fn(&Sums) -> f64| {
+                    of.iter().map(get).sum::<f64>() / of.iter().map(|sums| sums.count).sum::<f64>()
                 };
                 format!(
                     "{:.0} ({:.0}, {:.0} %)",
@@ -97,7 +97,7 @@ pub(super) fn few() {
                     100.0 * sum(|t| t.within)
                 )
             };
-            let known: f64 = worn.iter().map(|w| told[w.index()].square / told[w.index()].count).sum::<f64>()
+            let known: f64 = worn.iter().map(|w| sums[w.index()].square / sums[w.index()].count).sum::<f64>()
                 / worn.len() as f64;
             let cells = [
                 cell(&[B::Torso, B::Pelvis], true),

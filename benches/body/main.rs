@@ -7,7 +7,7 @@ mod learnt;
 mod people;
 mod travel;
 
-use nalgebra::{Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{UnitQuaternion, Vector3};
 use posed_baselines::limbs::EulerBody;
 use posed_fusion::ahrs::ImuSample;
 use posed_fusion::body::{
@@ -156,9 +156,7 @@ fn recorded(samples: &[Sample; SEGMENTS], everywhere: bool) -> BodySamples {
 
 /// True orientations, segment to room, with the room turned by `room`.
 fn oriented(body: &[Placement; SEGMENTS], room: UnitQuaternion<f64>) -> [UnitQuaternion<f64>; SEGMENTS] {
-    body.map(|placement| {
-        room * UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(placement.axes))
-    })
+    body.map(|placement| room * placement.orientation())
 }
 
 fn mounts(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<SensorMount>; SEGMENTS], String> {

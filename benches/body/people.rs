@@ -32,10 +32,8 @@ const PAUSE_S: f64 = 1.0;
 const SETTLE_S: f64 = 10.0;
 /// A way goes straight on for so long: shorter, and what a step shakes counts as way.
 const WAY_EPOCHS: usize = 50;
-/// A heel or a ball stands that has moved by less within so many epochs, and is so near the floor, m; and that stands for so many.
-const STILL_EPOCHS: usize = 10;
-const STILL_M: f64 = 0.004;
-const FLOOR_M: f64 = 0.03;
+/// A contact that counts lasts for so many epochs.
+const STOOD_EPOCHS: usize = 10;
 /// So many styles of walking people, those of whom there is most.
 const STYLES: usize = 10;
 
@@ -126,10 +124,9 @@ impl Angles {
     }
 }
 
-/// A heel or a ball: where it was, and where it began to stand, in truth and by the estimate.
+/// A heel or a ball: where it began to stand, in truth and by the estimate.
 #[derive(Clone, Debug, Default)]
 struct Sole {
-    last_m: Vec<Vector3<f64>>,
     began_m: Option<[Vector3<f64>; 2]>,
     slid_m: f64,
     stood: usize,
@@ -137,21 +134,15 @@ struct Sole {
 
 impl Sole {
     /// Takes the next place; how far a contact slid that is over.
-    fn push(&mut self, truth_m: Vector3<f64>, found_m: Vector3<f64>) -> Option<f64> {
-        self.last_m.push(truth_m);
-        let before_m = self.last_m.len().checked_sub(STILL_EPOCHS + 1).map(|at| self.last_m[at]);
-        let stands =
-            before_m.is_some_and(|before_m| (truth_m - before_m).norm() < STILL_M) && truth_m.z < FLOOR_M;
+    fn push(&mut self, stands: bool, truth_m: Vector3<f64>, found_m: Vector3<f64>) -> Option<f64> {
         if stands {
             let [true_m, began_m] = *self.began_m.get_or_insert([truth_m, found_m]);
             self.slid_m = self.slid_m.max(((found_m - began_m) - (truth_m - true_m)).norm());
             self.stood += 1;
             return None;
         }
-        let whole = self.stood >= STILL_EPOCHS;
-        let slid_m = (self.began_m.take().is_some() && whole).then_some(self.slid_m);
-        (self.slid_m, self.stood) = (0.0, 0);
-        slid_m
+        let Self { began_m, slid_m, stood } = std::mem::take(self);
+        (began_m.is_some() && stood >= STOOD_EPOCHS).then_some(slid_m)
     }
 }
 
@@ -221,6 +212,7 @@ fn solve(
         }
     }
     suit.wearer.follow(Arc::clone(take));
+    let begin_s = suit.calibration.len() as f64 / RATE_HZ;
     let (mut angles, mut euler_angles) = (Angles::default(), Angles::default());
     let mut figures = Figures::default();
     let mut soles: [[Sole; 2]; 2] = Default::default();
@@ -254,14 +246,15 @@ fn solve(
                 *way_m += (now - before).xy().norm();
             }
         }
-        let completed = estimate.posture;
-        let ankles_m = skeleton.ankles_m(&completed, hips_m[1]);
+        let posture = estimate.posture;
+        let ankles_m = skeleton.ankles_m(&posture, hips_m[1]);
+        let stands = take.standing(at.t_s - begin_s);
         for (side, points) in build.soles_m(&at.body).into_iter().enumerate() {
             let foot = FEET[side].index();
-            for (sole, point_m) in soles[side].iter_mut().zip(points) {
+            for ((sole, point_m), stands) in soles[side].iter_mut().zip(points).zip(stands[side]) {
                 let own_m = at.body[foot].axes.transpose() * (point_m - at.body[foot].origin_m);
-                let found_m = ankles_m[side] + completed[foot] * own_m;
-                slides_m.extend(sole.push(room() * point_m, found_m));
+                let found_m = ankles_m[side] + posture[foot] * own_m;
+                slides_m.extend(sole.push(stands, room() * point_m, found_m));
             }
         }
     }
