@@ -9,7 +9,7 @@ use super::{Item, ReadError, Take};
 use crate::animation::{Animation, AnimationError, Format};
 use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton, completed};
 use posed_geometry::orientation_from_wxyz;
-use posed_protocol::{Figure, SegmentEntry};
+use posed_protocol::Figure;
 use posed_stage::Stage;
 use posed_stage::layout::skeleton_of;
 
@@ -65,7 +65,10 @@ pub fn animation(
         if several && stage.bodies.iter().all(|body| body.name != figure.name) {
             continue;
         }
-        resize(&mut skeleton, &figure);
+        skeleton.learn(|segment| {
+            let entry = figure.segments.iter().find(|entry| entry.name == segment.name())?;
+            entry.learnt?.length_m
+        });
         push(&mut animation, &skeleton, &figure);
         frames += 1;
     }
@@ -75,20 +78,6 @@ pub fn animation(
     }
     animation.write(output, format)?;
     Ok(frames)
-}
-
-/// Lengths as the movements have shown them by this time; both sides are alike.
-fn resize(skeleton: &mut Skeleton, figure: &Figure) {
-    let mean_m = |names: [&str; 2]| {
-        let learnt = |entry: &&SegmentEntry| names.contains(&entry.name.as_str());
-        let lengths_m = figure.segments.iter().filter(learnt).filter_map(|entry| entry.learnt?.length_m);
-        let (sum_m, count) =
-            lengths_m.fold((0.0, 0.0), |(sum, count), length_m| (sum + length_m, count + 1.0));
-        (count > 0.0).then(|| sum_m / count)
-    };
-    skeleton.thigh_m = mean_m(["thigh_r", "thigh_l"]).unwrap_or(skeleton.thigh_m);
-    skeleton.shank_m = mean_m(["shank_r", "shank_l"]).unwrap_or(skeleton.shank_m);
-    skeleton.upper_arm_m = mean_m(["upper_arm_r", "upper_arm_l"]).unwrap_or(skeleton.upper_arm_m);
 }
 
 fn push(animation: &mut Animation, skeleton: &Skeleton, figure: &Figure) {

@@ -154,8 +154,8 @@ pub fn joint_rotation(segment: BodySegment, angles: &[f64]) -> UnitQuaternion<f6
     to_right(segment, &right)
 }
 
-/// A left joint as in a mirror, so that one table serves both sides; its own inverse.
-fn to_right(segment: BodySegment, q: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
+/// The rotation of a joint above a left segment as in a mirror, so that one table serves both sides; right ones as they are. Its own inverse.
+pub fn to_right(segment: BodySegment, q: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
     if segment.side() < 0.0 {
         UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(q.w, -q.i, -q.j, q.k))
     } else {

@@ -6,7 +6,7 @@ use super::moving::Moving;
 use super::sensor::Sensor;
 use super::skeleton::{BodySegment, Limb};
 use super::travel::{Foot, Legs, Point, ShankSeen};
-use super::{BodyFilter, BodySamples, HOLD_S, LEGS_S, LimbFilter, health};
+use super::{BodyFilter, BodySamples, HOLD_S, LEGS_S, health};
 use posed_geometry::GRAVITY_M_S2;
 
 impl BodyFilter {
@@ -54,29 +54,6 @@ impl BodyFilter {
         });
         let shanks = shanks.map(|seen| seen.filter(|(_, learns)| *learns).map(|(seen, _)| seen));
         Some(Legs { sensor_m, specific_force_m_s2, rests, ankles_m, feet, shanks })
-    }
-
-    /// Limbs and feet that stand have shown how long segments are: both sides are alike.
-    pub(super) fn resize(&mut self) {
-        let mean = |lengths_m: [Option<f64>; 2], before_m: f64| match lengths_m {
-            [Some(right_m), Some(left_m)] => 0.5 * (right_m + left_m),
-            [one, other] => one.or(other).unwrap_or(before_m),
-        };
-        let upper_m = |limbs: [Limb; 2]| {
-            limbs.map(|limb| {
-                LimbFilter::upper_length_m(&self.limbs[limb as usize]).map(|[length_m, _]| length_m)
-            })
-        };
-        let shanks_m = self.travel.shanks_m();
-        let learnt =
-            |segment: BodySegment| self.sensors[segment.index()].as_ref().is_some_and(Sensor::is_learnt);
-        let shanks_m = [(BodySegment::ShankR, shanks_m[0]), (BodySegment::ShankL, shanks_m[1])]
-            .map(|(shank, [length_m, _])| learnt(shank).then_some(length_m));
-        let thigh_m = mean(upper_m([Limb::LegR, Limb::LegL]), self.skeleton.thigh_m);
-        let upper_arm_m = mean(upper_m([Limb::ArmR, Limb::ArmL]), self.skeleton.upper_arm_m);
-        let shank_m = mean(shanks_m, self.skeleton.shank_m);
-        (self.skeleton.thigh_m, self.skeleton.upper_arm_m, self.skeleton.shank_m) =
-            (thigh_m, upper_arm_m, shank_m);
     }
 
     /// The sensor that shows this segment now.

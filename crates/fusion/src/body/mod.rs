@@ -61,7 +61,7 @@ use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
 pub use anchor::Anchor;
-pub use angles::{ANGLE_NAMES, ANGLES, angles, joint_angles, joint_rotation, of_joint};
+pub use angles::{ANGLE_NAMES, ANGLES, angles, joint_angles, joint_rotation, of_joint, to_right};
 pub use assign::{AssignError, Assignment, assign};
 pub use block::{Block, BlockKind, Movement, Recorded};
 pub use calibrate::{Calibrated, CalibrationError, Contradiction, REPEAT_DEG, calibrate};
@@ -246,7 +246,7 @@ pub struct BodyFilter {
     travel: TravelFilter,
     /// Since something else said last where the body is, s.
     unanchored_s: f64,
-    /// Whether something else has ever told the heading.
+    /// Whether something else has ever identified the heading.
     heading_anchored: bool,
     worn: Worn,
     /// Under which segment the samples of each segment's sensor are pushed: another one where two were swapped.
@@ -298,22 +298,31 @@ impl BodyFilter {
             if !filter.is_whole() {
                 continue;
             }
-            let shank_m = match limb {
-                Limb::LegR => Some(self.travel.shanks_m()[0]),
-                Limb::LegL => Some(self.travel.shanks_m()[1]),
-                Limb::ArmR | Limb::ArmL => None,
-            };
-            for (segment, length_m) in [(upper, filter.upper_length_m()), (lower, shank_m)] {
+            for segment in [upper, lower] {
                 let Some(sensor) = &self.sensors[segment.index()] else { continue };
                 let mount = &sensor.mount;
                 all[segment.index()] = sensor.is_learnt().then(|| Learnt {
                     mounting_sigma_rad: mount.rms_rad(),
                     turned_rad: mount.q_segment_sensor.angle_to(&sensor.began.q_segment_sensor),
-                    length_m,
+                    length_m: self.length_m(segment),
                 });
             }
         }
         all
+    }
+
+    /// Length of a thigh, an upper arm or a shank as movements have shown it, and its standard deviation, m; `None` for all others, and where it was given as exact.
+    fn length_m(&self, segment: BodySegment) -> Option<[f64; 2]> {
+        let learns =
+            |segment: BodySegment| self.sensors[segment.index()].as_ref().is_some_and(Sensor::is_learnt);
+        match segment {
+            BodySegment::ShankR => learns(segment).then(|| self.travel.shanks_m()[0]),
+            BodySegment::ShankL => learns(segment).then(|| self.travel.shanks_m()[1]),
+            _ => {
+                let limb = Limb::ALL.iter().position(|limb| limb.segments()[1] == segment)?;
+                self.limbs[limb].upper_length_m()
+            }
+        }
     }
 
     /// Lengths as the movements have shown them so far, beginning with those that the body was given; both sides are alike.
@@ -374,7 +383,9 @@ impl BodyFilter {
         }
         self.publish(&orientations, &bases, dt_s);
         self.link(samples, dt_s);
-        self.resize();
+        let mut skeleton = self.skeleton;
+        skeleton.learn(|segment| self.length_m(segment).map(|[length_m, _]| length_m));
+        self.skeleton = skeleton;
         self.unanchored_s += dt_s;
         let heading_rad = self.estimate.heading_sigma_rad;
         self.estimate.travel = match self.legs(samples) {
@@ -393,7 +404,7 @@ impl BodyFilter {
     }
 
     /// The person looks so far to the left of the room's x, rad, upright, arms hanging or raised to the side: the headings of these segments' sensors, by
-    /// [`BodySegment::index`], begin anew from that, where no field tells them. Limbs begin anew with them; of one whose other sensor is not meant that one
+    /// [`BodySegment::index`], begin anew from that, where no field identifies them. Limbs begin anew with them; of one whose other sensor is not meant that one
     /// goes on from where the limb has it. False where none of them drifts.
     pub fn reset_heading(&mut self, of: &[bool; SEGMENTS], heading_rad: f64) -> bool {
         let before = self.estimate.orientations;

@@ -291,6 +291,22 @@ impl Skeleton {
         0.5 * self.joint_in_segment_m(segment) + 0.5 * self.end_in_segment_m(segment)
     }
 
+    /// Takes what movements have shown of the lengths of segments, m, of both sides the mean; those that are not learnt stay.
+    pub fn learn(&mut self, length_m: impl Fn(BodySegment) -> Option<f64>) {
+        let mean = |right: BodySegment, left: BodySegment| match (length_m(right), length_m(left)) {
+            (Some(right_m), Some(left_m)) => Some(0.5 * (right_m + left_m)),
+            (one, other) => one.or(other),
+        };
+        let pairs = [
+            (&mut self.thigh_m, BodySegment::ThighR, BodySegment::ThighL),
+            (&mut self.upper_arm_m, BodySegment::UpperArmR, BodySegment::UpperArmL),
+            (&mut self.shank_m, BodySegment::ShankR, BodySegment::ShankL),
+        ];
+        for (own_m, right, left) in pairs {
+            *own_m = mean(right, left).unwrap_or(*own_m);
+        }
+    }
+
     /// From an ankle back to the heel and ahead to the ball of the foot, along the floor, m: of a foot's length its last fifth, and 0.72 less that (the heads of the
     /// metatarsal bones).
     pub fn sole_m(&self) -> [f64; 2] {

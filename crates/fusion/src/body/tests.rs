@@ -113,7 +113,7 @@ pub(super) fn record(wearer: &mut Wearer, seconds: f64) -> (Vec<Recorded>, Vec<O
     (0..(seconds * wearer.rate_hz()) as usize)
         .map(|_| {
             let (samples, truth) = wearer.step();
-            ((truth.t_s, worn(samples)), truth.body.map(|p| UnitQuaternion::from_matrix(&p.axes)))
+            ((truth.t_s, worn(samples)), truth.body.map(|p| p.orientation()))
         })
         .unzip()
 }
@@ -338,7 +338,7 @@ fn a_blow_as_sensors_are_switched_on_tilts_nothing() {
         }
         let estimate = filter.push(&samples, 0.01);
         for (found, truth) in estimate.orientations.iter().zip(&truth.body).filter(|_| frame > 500) {
-            let truth = UnitQuaternion::from_matrix(&truth.axes);
+            let truth = truth.orientation();
             worst_deg = worst_deg.max(found.unwrap().angle_to(&truth).to_degrees());
         }
     }
@@ -362,7 +362,7 @@ fn who_is_switched_on_in_the_middle_of_a_movement_finds_back() {
                 let estimate = filter.push(&worn(samples), 0.01);
                 assert_eq!(estimate.faults, [None; SEGMENTS], "{activity:?} {seed}");
                 for (found, truth) in estimate.orientations.iter().zip(&truth.body) {
-                    let off_rad = found.unwrap().angle_to(&UnitQuaternion::from_matrix(&truth.axes));
+                    let off_rad = found.unwrap().angle_to(&truth.orientation());
                     assert!(off_rad.to_degrees() < 12.0, "{activity:?} {seed}: {off_rad}");
                 }
             }
@@ -406,7 +406,7 @@ fn trackers_alone_show_the_limbs_between_them() {
     for k in 0..200 {
         let t_s = 0.02 * f64::from(k);
         let truth = script.at(t_s, &build).place(&build);
-        let orientation = |segment: BodySegment| UnitQuaternion::from_matrix(&truth[segment.index()].axes);
+        let orientation = |segment: BodySegment| truth[segment.index()].orientation();
         let trackers = mounts.map(|segment| {
             let translation = Translation3::from(truth[segment.index()].origin_m);
             let room_from_segment = Isometry3::from_parts(translation, orientation(segment));

@@ -84,9 +84,9 @@ pub struct Detector {
     mirror: Option<Mirror>,
     /// Where it was last inside its gate, repaired if need be, or known to be since, device axes, m.
     last_m: Option<Vector3<f64>>,
-    /// Something else has just said so; and it said on which side the track began, which the fault map does not dispute then.
-    heard: bool,
-    told: bool,
+    /// Something else has just located it; and that identified the side on which the track began, which the fault map does not dispute then.
+    located: bool,
+    identified: bool,
     /// It has been inside its gate once.
     tracked: bool,
     /// Records in a row in which prediction and fault map disagreed about the side.
@@ -106,7 +106,7 @@ impl Detector {
     /// Something else knows where the sensor is, device axes, m: that says more of the side than where it was when it was lost.
     pub fn known_at(&mut self, position_m: Vector3<f64>) {
         self.last_m = Some(position_m);
-        self.heard = true;
+        self.located = true;
     }
 
     /// Labels one measurement.
@@ -147,7 +147,8 @@ impl Detector {
 
     /// Prediction and map may disagree about the side: nothing is good then, until the map has it.
     fn settle(&mut self, pose: &MeasuredPose, checked: Checked, by_map: Option<Option<Mirror>>) -> Checked {
-        let (Class::Clean | Class::Inverted, Some(by_map), false) = (checked.label.class, by_map, self.told)
+        let (Class::Clean | Class::Inverted, Some(by_map), false) =
+            (checked.label.class, by_map, self.identified)
         else {
             return checked;
         };
@@ -195,7 +196,7 @@ impl Detector {
             // Records that are seldom leave a prediction so wide that it holds both sides. It is a straight line then, where a limb
             // has long turned back: where the sensor was says more.
             let holds_both = prediction.holds_too(&pose.mirrored(Mirror::Point), pose, noise);
-            return self.believe(if holds_both { self.nearer_side(pose) } else { None }, pose);
+            return self.believe(if holds_both { self.nearer_side(pose).0 } else { None }, pose);
         }
         let mirrors = [Mirror::Point, Mirror::Vertical].into_iter();
         let is_far = pose.position_m.is_some_and(|position_m| prediction.is_far(&position_m, noise));
@@ -223,28 +224,22 @@ impl Detector {
     /// Labels a measurement with nothing to judge it by: of the two sides it is on the one nearer to where it was last. It may
     /// have left either, or been set right, while nobody looked.
     fn begin(&mut self, pose: &MeasuredPose) -> Checked {
-        self.mirror = self.nearer_side(pose);
-        self.told = std::mem::take(&mut self.heard) && self.is_clearly_nearer(pose);
-        Checked::on_side(self.mirror, pose)
+        let (side, is_clear) = self.nearer_side(pose);
+        self.mirror = side;
+        self.identified = std::mem::take(&mut self.located) && is_clear;
+        Checked::on_side(side, pose)
     }
 
-    /// Whether the side that was taken is so much nearer to where the sensor is known to be that the other one is out of the question.
-    fn is_clearly_nearer(&self, pose: &MeasuredPose) -> bool {
-        let (Some(position_m), Some(last_m)) = (pose.position_m, self.last_m) else { return false };
+    /// The side that is nearer to where it was last, and whether the other one is out of the question; the latest side where it never was.
+    fn nearer_side(&self, pose: &MeasuredPose) -> (Option<Mirror>, bool) {
         let mirror = self.mirror.unwrap_or(Mirror::Point);
-        let here_m = (position_m - last_m).norm();
-        let there_m = (Vector3::from(mirror.apply(position_m.into())) - last_m).norm();
-        let (taken_m, other_m) = if self.mirror.is_some() { (there_m, here_m) } else { (here_m, there_m) };
-        taken_m < CLEARLY * other_m
-    }
-
-    /// The side that is nearer to where it was last; the latest one where it never was.
-    fn nearer_side(&self, pose: &MeasuredPose) -> Option<Mirror> {
         let distance_m = |pose: &MeasuredPose| Some((pose.position_m? - self.last_m?).norm());
-        let candidates = [None, Some(self.mirror.unwrap_or(Mirror::Point))];
-        let seen = |mirror: Option<Mirror>| mirror.map_or(*pose, |mirror| pose.mirrored(mirror));
-        let nearer = candidates.into_iter().filter_map(|mirror| Some((mirror, distance_m(&seen(mirror))?)));
-        nearer.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(self.mirror, |(mirror, _)| mirror)
+        let (Some(here_m), Some(there_m)) = (distance_m(pose), distance_m(&pose.mirrored(mirror))) else {
+            return (self.mirror, false);
+        };
+        let (side, taken_m, other_m) =
+            if here_m <= there_m { (None, here_m, there_m) } else { (Some(mirror), there_m, here_m) };
+        (side, taken_m < CLEARLY * other_m)
     }
 }
 

@@ -4,11 +4,11 @@
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::fmt::Write;
 
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{UnitQuaternion, Vector3};
 
 use super::Frame;
 use super::bvh::zxy;
-use posed_fusion::body::{BodySegment as B, upright};
+use posed_fusion::body::{BodySegment as B, to_right, upright};
 use posed_geometry::so3::exp;
 
 /// Whose coordinates a MOT file has.
@@ -85,12 +85,7 @@ fn rotation(frame: &Frame, segment: B) -> UnitQuaternion<f64> {
     let own = frame.orientations[segment.index()];
     let Some(parent) = segment.parent() else { return upright().inverse() * own };
     let q = frame.orientations[parent.index()].inverse() * own;
-    let right = if segment.side() < 0.0 {
-        UnitQuaternion::new_unchecked(Quaternion::new(q.w, -q.i, -q.j, q.k))
-    } else {
-        q
-    };
-    anatomical(parent).inverse() * right * anatomical(segment)
+    anatomical(parent).inverse() * to_right(segment, &q) * anatomical(segment)
 }
 
 /// A segment's axes in the models, in ours: theirs of forearm and hand are ahead where the palm looks, ours where the thumb points.

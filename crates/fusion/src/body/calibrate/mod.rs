@@ -110,6 +110,13 @@ pub enum CalibrationError {
     },
 }
 
+impl CalibrationError {
+    /// A movement does not show its axis, for this reason.
+    fn movement(block: &Block, reason: Refused) -> Self {
+        Self::Movement { movement: block.kind.name(), start_s: block.start_s, end_s: block.end_s, reason }
+    }
+}
+
 /// A direction seen in a sensor and known in its segment.
 struct SegmentAxis {
     sensor: Vector3<f64>,

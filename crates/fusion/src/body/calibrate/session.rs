@@ -246,12 +246,7 @@ impl<'a> Session<'a> {
     /// The axes that a movement shows, in the sensors on both sides of the joint.
     fn axes(&self, block: &Block, low: Option<&Held>, out: &mut Vec<Axis>) -> Result<(), CalibrationError> {
         let range = self.range(block);
-        let failed = |reason| CalibrationError::Movement {
-            movement: block.kind.name(),
-            start_s: block.start_s,
-            end_s: block.end_s,
-            reason,
-        };
+        let failed = |reason| CalibrationError::movement(block, reason);
         let (segment, movement) = match block.kind {
             BlockKind::NPose | BlockKind::TPose | BlockKind::Walk => return Ok(()),
             BlockKind::Bow => {
@@ -347,10 +342,8 @@ impl<'a> Session<'a> {
         // By gravity alone: the person may face another way by now.
         let up = |q: &UnitQuaternion<f64>| q.inverse() * Vector3::z();
         let went = |q: &UnitQuaternion<f64>| up(q).cross(&up(&held)).dot(&axis);
-        let sum: f64 = track.iter().map(went).sum();
-        let squares: f64 = track.iter().map(|q| went(q).powi(2)).sum();
-        let one_way = sum.abs() / (squares * track.len() as f64).sqrt().max(needed_rad * track.len() as f64);
-        Ok((axis * sum.signum(), one_way))
+        let (sign, one_way) = one_way(track.iter().map(went), needed_rad);
+        Ok((axis * sign, one_way))
     }
 
     /// The axis between two sensors, positive for the way that the movement went from the N-pose, or from where it began; and how much of it went that way.
@@ -407,14 +400,20 @@ fn pointed(
     start: &UnitQuaternion<f64>,
 ) -> (Vector3<f64>, f64) {
     let went = before.iter().zip(behind).map(|(a, b)| so3::log(&(start.inverse() * (a.inverse() * b))));
-    let (mut sum, mut squares) = (0.0, 0.0);
-    for rotation_vector_rad in went {
-        let along = rotation_vector_rad.dot(&axis);
-        sum += along;
-        squares += along * along;
+    let (sign, one_way) = one_way(went.map(|rotation_vector_rad| rotation_vector_rad.dot(&axis)), 0.0);
+    (axis * sign, one_way)
+}
+
+/// Which way angles went about an axis, 1 or -1, and how much of that went this way, 0 to 1; angles as small as `least_rad` say less.
+fn one_way(angles_rad: impl Iterator<Item = f64>, least_rad: f64) -> (f64, f64) {
+    let (mut sum, mut squares, mut count) = (0.0_f64, 0.0, 0.0);
+    for angle_rad in angles_rad {
+        sum += angle_rad;
+        squares += angle_rad * angle_rad;
+        count += 1.0;
     }
-    let one_way = sum.abs() / (squares * before.len() as f64).sqrt().max(f64::MIN_POSITIVE);
-    (axis * sum.signum(), one_way)
+    let most: f64 = (squares * count).sqrt().max(least_rad * count).max(f64::MIN_POSITIVE);
+    (sum.signum(), sum.abs() / most)
 }
 
 /// How far a sensor turned from where it began, root mean square, rad.

@@ -119,12 +119,7 @@ pub(super) fn calibrate(
 fn knee(session: &Session<'_>, block: &Block, segments: [BodySegment; 2]) -> Result<Knee, CalibrationError> {
     let [thigh, shank] = segments;
     let range = session.range(block);
-    let failed = |reason| CalibrationError::Movement {
-        movement: block.kind.name(),
-        start_s: block.start_s,
-        end_s: block.end_s,
-        reason,
-    };
+    let failed = |reason| CalibrationError::movement(block, reason);
     let (axes, _) = session.pair(thigh, shank, None, range.clone()).map_err(failed)?;
     let [Some(mut first), Some(mut second)] = axes else {
         return Err(failed(Refused::Excitation { found: 0.0, needed: 1.0 }));

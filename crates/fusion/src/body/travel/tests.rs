@@ -187,7 +187,7 @@ fn a_tracker_on_any_segment_anchors_the_body() {
         let offset_m = Vector3::new(0.02, -0.05, 0.01);
         let anchor = |truth: &posed_simulator::body::TrueBody, leap_m: f64| {
             let placed = &truth[segment.index()];
-            let axes = UnitQuaternion::from_matrix(&placed.axes);
+            let axes = placed.orientation();
             Anchor {
                 segment,
                 offset_m,
@@ -215,7 +215,7 @@ fn a_tracker_on_any_segment_anchors_the_body() {
                 let found_m = placed.map_or(filter.estimate().travel.unwrap().pelvis_m, |(at_m, _)| at_m);
                 assert!((found_m - truth_m).norm() < 0.1, "{segment:?} {frame}: {found_m} for {truth_m}");
                 let pelvis = filter.estimate().orientations[BodySegment::Pelvis.index()].unwrap();
-                let facing = turned.inverse() * UnitQuaternion::from_matrix(&hips.axes);
+                let facing = turned.inverse() * hips.orientation();
                 assert!(pelvis.angle_to(&facing) < 0.15, "{segment:?} {frame}: {}", pelvis.angle_to(&facing));
             }
         }
