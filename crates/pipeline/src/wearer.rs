@@ -67,7 +67,7 @@ impl Wearer {
         self.human.as_mut()?.take_tapped()
     }
 
-    /// The headings of this IMU, or of all, that no field tells begin anew: see [`BodyStage::reset_heading`]. False where there is none.
+    /// The headings of this IMU, or of all, that no field identifies begin anew: see [`BodyStage::reset_heading`]. False where there is none.
     pub(super) fn reset_heading(&mut self, sensor: Option<SensorIndex>, heading_rad: f64) -> bool {
         self.human.as_mut().is_some_and(|human| human.reset_heading(sensor, heading_rad))
     }

@@ -197,7 +197,7 @@ pub enum Request {
     },
     /// Ends that: the recording goes out as `Output::PoleRun`, empty where none was under way. The map is solved elsewhere.
     FieldFinish {},
-    /// The person looks this way now, upright: the headings of IMUs that no field tells begin anew from it.
+    /// The person looks this way now, upright: the headings of IMUs that no field identifies begin anew from it.
     HeadingReset {
         /// The person, by the name of the body; absent: the one who wears the IMU, or the only one.
         #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -343,7 +343,7 @@ impl Ahrs {
         rotation.transpose() * level * rotation
     }
 
-    /// Standard deviation of the gyro's bias about the vertical, rad/s: so fast a heading that no field tells may drift.
+    /// Standard deviation of the gyro's bias about the vertical, rad/s: so fast a heading that no field identifies may drift.
     pub fn heading_rate_sigma_rad_s(&self) -> f64 {
         self.inclination.bias_sigma_rad_s(&(self.q_level_sensor.inverse() * Vector3::z()))
     }

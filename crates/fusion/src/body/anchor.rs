@@ -1,7 +1,7 @@
 //! What else shows a body where it is and which way it faces: a tracker on any of its segments.
 //!
 //! In: where such a sensor is in the room, how well that is known, and how its segment is turned if it says so. Out: where the hips are. It never turns a limb
-//! against the trunk, and what a field tells of headings it leaves alone.
+//! against the trunk, and headings that a field identifies it leaves alone.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_state::Plain;
@@ -15,10 +15,10 @@ const POSTURE_M: f64 = 0.02;
 const AGREE: f64 = 4.0;
 /// Longer than this nothing has been heard, s.
 const LONGEST_S: f64 = 0.1;
-/// In so long a heading follows, s, once it has been told.
+/// In so long a heading follows, s, once it has been identified.
 const HEADING_S: f64 = 2.0;
-/// A heading that is not known better is not told, rad.
-const TOLD_RAD: f64 = 0.2;
+/// A heading that is not known better is not used, rad.
+const USED_RAD: f64 = 0.2;
 /// An anchor's own place says which way the segment looks to so much, rad.
 const WORN_RAD: f64 = 0.05;
 
@@ -109,7 +109,7 @@ impl BodyFilter {
         Some((anchor.position_m - from_hips_m, anchor.sigma_m.powi(2) + posture_m2.min(1.0)))
     }
 
-    /// The body faces as those anchors say that know how their segments are turned, if no field tells its heading.
+    /// The body faces as those anchors say that know how their segments are turned, if no field identifies its heading.
     fn face(&mut self, anchors: &[Anchor], dt_s: f64) {
         if !matches!(self.estimate.heading, Heading::Held(_))
             || self.sensors.iter().flatten().any(|s| s.magnetometer)
@@ -118,7 +118,7 @@ impl BodyFilter {
         }
         let (mut sin, mut cos) = (0.0, 0.0);
         for anchor in anchors {
-            let Some((q, sigma_rad)) = anchor.orientation.filter(|(_, sigma_rad)| *sigma_rad < TOLD_RAD)
+            let Some((q, sigma_rad)) = anchor.orientation.filter(|(_, sigma_rad)| *sigma_rad < USED_RAD)
             else {
                 continue;
             };
@@ -128,7 +128,7 @@ impl BodyFilter {
                 / (sigma_rad.powi(2)
                     + self.estimate.sigma_rad[anchor.segment.index()].powi(2)
                     + WORN_RAD * WORN_RAD);
-            self.links.tell(anchor.segment, sigma_rad.powi(2) + WORN_RAD * WORN_RAD);
+            self.links.confine(anchor.segment, sigma_rad.powi(2) + WORN_RAD * WORN_RAD);
             let (s, c) = libm::sincos(2.0 * libm::atan2(off.k, off.w));
             sin += weight * s;
             cos += weight * c;

@@ -1,7 +1,7 @@
-//! Headings that no field tells, held together by the joints of the body.
+//! Headings that no field identifies, held together by the joints of the body.
 //!
 //! In: the motion of every worn segment, and how sure each heading is. Out: by how much each is to be turned about the vertical. It never touches a
-//! tilt, and never turns what a field tells: that holds what hangs on it.
+//! tilt, and never turns what a field identifies: that holds what hangs on it.
 //!
 //! Two segments that meet in a joint feel one acceleration there: carried from both sensors to the joint, the level parts of the two
 //! specific forces differ by the angle between their headings. And people do not stand twisted: spine, neck, wrists, ankles, hips and shoulders
@@ -88,9 +88,9 @@ pub(super) fn unit(segment: BodySegment) -> usize {
     })
 }
 
-/// What tells a heading.
+/// What identifies a heading.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Told {
+pub(super) enum Source {
     /// A field that is believed.
     Field,
     /// The gyro, which drifts at most so fast, rad/s; `turns`: whether it may be turned, because there is no field.
@@ -184,7 +184,7 @@ impl Links {
     }
 
     /// Something else goes on saying where a segment looks, to this variance, rad²: it is not known worse, nor better for its being said again.
-    pub(super) fn tell(&mut self, segment: BodySegment, rad2: f64) {
+    pub(super) fn confine(&mut self, segment: BodySegment, rad2: f64) {
         let u = unit(segment);
         let known_rad2 = self.p[(u, u)];
         if known_rad2 > rad2 {
@@ -204,9 +204,9 @@ impl Links {
     }
 
     /// Moves on by a window.
-    fn predict(&mut self, told: &[Option<Told>; UNITS], t: f64) {
+    fn predict(&mut self, sources: &[Option<Source>; UNITS], t: f64) {
         let keep = libm::exp(-t / RATE_S);
-        for (u, told) in told.iter().enumerate() {
+        for (u, source) in sources.iter().enumerate() {
             let r = UNITS + u;
             self.x[u] += t * self.x[r];
             self.x[r] *= keep;
@@ -220,7 +220,7 @@ impl Links {
                 self.p[(u, k)] += t * by_rate;
                 self.p[(r, k)] = keep * by_rate;
             }
-            if let Some(Told::Gyro { rate_rad_s, .. }) = told {
+            if let Some(Source::Gyro { rate_rad_s, .. }) = source {
                 let turning = SCALE * self.turns_rad_s[u];
                 let rate_rad2_s2 = rate_rad_s.powi(2) + RATE_RAD_S.powi(2) + turning.powi(2);
                 self.p[(r, r)] += rate_rad2_s2 * (1.0 - keep * keep);
@@ -242,10 +242,10 @@ impl Links {
         }
     }
 
-    /// Headings that are told from now on; the first one says what the others are held against.
-    pub(super) fn begin(&mut self, told: &[Option<Told>; UNITS]) {
-        for (u, told) in told.iter().enumerate() {
-            if let (Some(_), false) = (told, self.begun[u]) {
+    /// Headings that are identified from now on; the first one says what the others are held against.
+    pub(super) fn begin(&mut self, sources: &[Option<Source>; UNITS]) {
+        for (u, source) in sources.iter().enumerate() {
+            if let (Some(_), false) = (source, self.begun[u]) {
                 let first = !self.begun.contains(&true);
                 self.begun[u] = true;
                 self.set(u, if first { 0.0 } else { CALIBRATED_RAD.powi(2) });
@@ -264,13 +264,13 @@ impl Links {
     /// is turned too far that may be turned, rad, and takes it for taken off.
     pub(super) fn run(
         &mut self,
-        told: &[Option<Told>; UNITS],
+        sources: &[Option<Source>; UNITS],
         twists: &[Option<(f64, f64)>; LINKS.len()],
         t: f64,
     ) -> [f64; UNITS] {
-        self.predict(told, t);
-        for (u, told) in told.iter().enumerate() {
-            if *told == Some(Told::Field) {
+        self.predict(sources, t);
+        for (u, source) in sources.iter().enumerate() {
+            if *source == Some(Source::Field) {
                 self.set(u, CALIBRATED_HEADING_RAD.powi(2));
             }
         }
@@ -278,7 +278,7 @@ impl Links {
             let felt = self.felt[k].take();
             let Some(parent) = link.below.parent() else { continue };
             let (above, below) = (unit(parent), unit(link.below));
-            if told[above].is_none() || told[below].is_none() {
+            if sources[above].is_none() || sources[below].is_none() {
                 continue;
             }
             if let Some((off_rad, information)) = felt {
@@ -289,15 +289,15 @@ impl Links {
                 self.observe(above, below, twist_rad, rad2);
             }
         }
-        std::array::from_fn(|u| match told[u] {
-            Some(Told::Gyro { turns: true, .. }) => std::mem::take(&mut self.x[u]),
+        std::array::from_fn(|u| match sources[u] {
+            Some(Source::Gyro { turns: true, .. }) => std::mem::take(&mut self.x[u]),
             _ => 0.0,
         })
     }
 }
 
 impl BodyFilter {
-    /// Holds the headings together that no field tells: after the estimate of one time.
+    /// Holds the headings together that no field identifies: after the estimate of one time.
     pub(super) fn link(&mut self, samples: &BodySamples, dt_s: f64) {
         let drifts = |sensor: &Option<Sensor>| sensor.as_ref().is_some_and(|s| s.started && !s.magnetometer);
         if !self.sensors.iter().any(drifts) {
@@ -343,21 +343,21 @@ impl BodyFilter {
         settled.then(|| (sensor.moving(&sample, q_segment_sensor, q_room_segment), *offset_m))
     }
 
-    /// What tells the heading of each unit; `None` where no sensor does.
-    fn told(&self) -> [Option<Told>; UNITS] {
+    /// What identifies the heading of each unit; `None` where no sensor does.
+    fn sources(&self) -> [Option<Source>; UNITS] {
         let of = |segments: &[BodySegment]| {
             let worn = segments.iter().filter_map(|s| self.sensors[s.index()].as_ref()).filter(|s| s.started);
-            let (mut told, mut turns) = (None, true);
+            let (mut source, mut turns) = (None, true);
             for sensor in worn {
                 turns &= !sensor.magnetometer;
                 if sensor.magnetometer && !sensor.ahrs.magnetic_disturbance() {
-                    told = Some(Told::Field);
+                    source = Some(Source::Field);
                 }
-                if told != Some(Told::Field) {
-                    told = Some(Told::Gyro { rate_rad_s: sensor.ahrs.heading_rate_sigma_rad_s(), turns });
+                if source != Some(Source::Field) {
+                    source = Some(Source::Gyro { rate_rad_s: sensor.ahrs.heading_rate_sigma_rad_s(), turns });
                 }
             }
-            told
+            source
         };
         std::array::from_fn(|u| match ALONE.get(u) {
             Some(segment) => of(&[*segment]),
@@ -365,9 +365,9 @@ impl BodyFilter {
         })
     }
 
-    /// Runs the filter over a window, and turns the headings that no field tells.
+    /// Runs the filter over a window, and turns the headings that no field identifies.
     fn turn(&mut self) {
-        let told = self.told();
+        let sources = self.sources();
         let orientations = &self.estimate.orientations;
         let twists = std::array::from_fn(|k| {
             let below = LINKS[k].below;
@@ -381,9 +381,9 @@ impl BodyFilter {
             let twist_rad = wrapped_rad(yaw_from_upright(&below) - yaw_from_upright(&above));
             Some((twist_rad, (weight(&above) * weight(&below)).max(1e-6)))
         });
-        self.links.begin(&told);
+        self.links.begin(&sources);
         let t = std::mem::take(&mut self.links.window_s);
-        let off_rad = self.links.run(&told, &twists, t);
+        let off_rad = self.links.run(&sources, &twists, t);
         let about_up = |rad: f64| so3::exp(&Vector3::new(0.0, 0.0, rad));
         for (limb, filter) in Limb::ALL.into_iter().zip(&mut self.limbs) {
             let [trunk, upper, _] = limb.segments();

@@ -1,27 +1,27 @@
 //! Headings that drift for hours: the filter alone, with joints that are twisted and accelerated as people's are.
 
-use super::links::{LINKS, Links, Told, UNITS, unit};
+use super::links::{LINKS, Links, Source, UNITS, unit};
 use super::skeleton::BodySegment;
 use crate::testing::Random;
 
 const HOURS: f64 = 3.0;
 const WINDOW_S: f64 = 0.5;
 
-/// What is wrong with each heading after hours, rad, and the filter; `told` says what tells each, of those that drift at some 0.01 degrees a second.
-fn after_hours(mut told: impl FnMut(usize) -> Told, seed: u64) -> ([f64; UNITS], Links) {
+/// What is wrong with each heading after hours, rad, and the filter; `source` says what identifies each, of those that drift at some 0.01 degrees a second.
+fn after_hours(mut source: impl FnMut(usize) -> Source, seed: u64) -> ([f64; UNITS], Links) {
     let mut random = Random::new(seed);
-    let told = std::array::from_fn(|u| Some(told(u)));
+    let sources = std::array::from_fn(|u| Some(source(u)));
     let mut rates: [f64; UNITS] = std::array::from_fn(|_| 2e-4 * random.normal());
     // A rate stays for ten minutes.
     let stays = libm::exp(-WINDOW_S / 600.0);
     let mut off = [0.0; UNITS];
     let mut twists = [0.0; LINKS.len()];
     let mut links = Links::default();
-    links.begin(&told);
+    links.begin(&sources);
     for _ in 0..(HOURS * 3600.0 / WINDOW_S) as usize {
-        for ((off, rate), told) in off.iter_mut().zip(&mut rates).zip(&told) {
+        for ((off, rate), source) in off.iter_mut().zip(&mut rates).zip(&sources) {
             *rate = stays * *rate + 2e-4 * (1.0 - stays * stays).sqrt() * random.normal();
-            if *told != Some(Told::Field) {
+            if *source != Some(Source::Field) {
                 *off += *rate * WINDOW_S;
             }
         }
@@ -38,7 +38,7 @@ fn after_hours(mut told: impl FnMut(usize) -> Told, seed: u64) -> ([f64; UNITS],
             let between = off[unit(link.below)] - off[unit(link.below.parent().unwrap())];
             links.feel(k, between + 0.5 * random.normal(), 0.2);
         }
-        let turned = links.run(&told, &seen, WINDOW_S);
+        let turned = links.run(&sources, &seen, WINDOW_S);
         for (off, turned) in off.iter_mut().zip(turned) {
             *off -= turned;
         }
@@ -49,7 +49,7 @@ fn after_hours(mut told: impl FnMut(usize) -> Told, seed: u64) -> ([f64; UNITS],
 #[test]
 fn headings_hold_together_for_hours() {
     for seed in 0..3 {
-        let gyro = |_: usize| Told::Gyro { rate_rad_s: 2e-4, turns: true };
+        let gyro = |_: usize| Source::Gyro { rate_rad_s: 2e-4, turns: true };
         let (off, links) = after_hours(gyro, seed);
         for link in &LINKS {
             let parent = link.below.parent().unwrap();
@@ -66,10 +66,10 @@ fn headings_hold_together_for_hours() {
 }
 
 #[test]
-fn what_a_field_tells_holds_what_hangs_on_it() {
+fn what_a_field_identifies_holds_what_hangs_on_it() {
     let pelvis = unit(BodySegment::Pelvis);
     let (off, links) = after_hours(
-        |u| if u == pelvis { Told::Field } else { Told::Gyro { rate_rad_s: 2e-4, turns: true } },
+        |u| if u == pelvis { Source::Field } else { Source::Gyro { rate_rad_s: 2e-4, turns: true } },
         7,
     );
     for segment in [BodySegment::Torso, BodySegment::Head, BodySegment::ThighR, BodySegment::FootL] {
@@ -84,11 +84,11 @@ fn what_a_field_tells_holds_what_hangs_on_it() {
 fn what_has_a_field_is_never_turned() {
     let torso = unit(BodySegment::Torso);
     let mut links = Links::default();
-    let told = std::array::from_fn(|u| Some(Told::Gyro { rate_rad_s: 2e-4, turns: u != torso }));
-    links.begin(&told);
+    let sources = std::array::from_fn(|u| Some(Source::Gyro { rate_rad_s: 2e-4, turns: u != torso }));
+    links.begin(&sources);
     let twisted = [Some((0.3, 1.0)); LINKS.len()];
     for _ in 0..100 {
-        let turned = links.run(&told, &twisted, WINDOW_S);
+        let turned = links.run(&sources, &twisted, WINDOW_S);
         assert_eq!(turned[torso], 0.0);
         assert!(turned.iter().any(|turned| *turned != 0.0));
     }

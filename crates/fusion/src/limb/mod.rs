@@ -368,7 +368,7 @@ impl<const N: usize, const D: usize> Limb<Ball, D, N> {
         self.upper.q
     }
 
-    /// Turns the whole limb against its base, `rotation` in the base's axes: something else tells its heading.
+    /// Turns the whole limb against its base, `rotation` in the base's axes: something else identifies its heading.
     pub fn turn(&mut self, rotation: &UnitQuaternion<f64>) {
         self.upper.q = rotation * self.upper.q;
     }

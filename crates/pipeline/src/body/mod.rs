@@ -268,7 +268,7 @@ impl BodyStage {
         self.tapped_now.take()
     }
 
-    /// The person looks so far to the left of the room's x, rad: the headings of this IMU, or of all, that no field tells begin anew. False where there is none.
+    /// The person looks so far to the left of the room's x, rad: the headings of this IMU, or of all, that no field identifies begin anew. False where there is none.
     pub(super) fn reset_heading(&mut self, sensor: Option<SensorIndex>, heading_rad: f64) -> bool {
         let mut only = [false; SEGMENTS];
         self.on_body(sensor).for_each(|segment| only[segment.index()] = true);

@@ -243,7 +243,7 @@ pub enum Call {
         #[serde(default)]
         body: Option<String>,
     },
-    /// The person looks this way now, upright: the headings of IMUs on the body that no field tells begin anew from it. Gyros drift; this takes it away.
+    /// The person looks this way now, upright: the headings of IMUs on the body that no field identifies begin anew from it. Gyros drift; this takes it away.
     #[serde(rename = "heading.reset")]
     HeadingReset {
         /// The person, by the name of the body; absent: the one who wears the IMU, or the only one.
