@@ -104,7 +104,7 @@ pub(super) struct LimbFilter {
     noise: LimbNoise,
     /// Whether upper and lower segment wear a sensor, both.
     whole: bool,
-    /// Bias of both gyros that a rest has proven, rad/s: more than the filter takes for possible.
+    /// Bias of both gyros of units that nobody has calibrated, as a rest has proven it, rad/s.
     offsets_rad_s: [Vector3<f64>; 2],
     /// For so long both of its sensors have said otherwise, s.
     astray_s: f64,
@@ -160,15 +160,16 @@ impl LimbFilter {
             self.begin(base, own);
             return [SensorReport::default(); 2];
         }
-        // The field of a sample is replaced by what the sensor's own filter makes of it.
-        let with_north = |which: usize| {
-            samples[which].map(|sample| ImuSample {
-                gyro_rad_s: sample.gyro_rad_s - offsets_rad_s[which],
-                mag: sensors[which].as_ref().and_then(Sensor::north),
+        // What the sensor's own filter makes of bias and field takes the place of both.
+        let corrected = |which: usize| {
+            let (sample, sensor) = (samples[which]?, sensors[which].as_ref()?);
+            Some(ImuSample {
+                gyro_rad_s: sample.gyro_rad_s - sensor.ahrs.bias_rad_s(),
+                mag: sensor.north(),
                 ..sample
             })
         };
-        let samples = LimbSamples { upper: with_north(0), lower: with_north(1) };
+        let samples = LimbSamples { upper: corrected(0), lower: corrected(1) };
         let at_rest = sensors.iter().all(|sensor| sensor.as_ref().is_none_or(|s| s.ahrs.at_rest()));
         let rests = at_rest && base.angular_velocity_rad_s.norm() < 0.05;
         with_limb!(&mut self.filter, [SensorReport::default(); 2], limb => {

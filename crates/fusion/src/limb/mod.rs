@@ -1,16 +1,17 @@
 //! One limb, arm or leg, as one filter over two IMUs.
 //!
 //! In: the motion of the segment that the limb hangs on (its [`Base`]), the samples of the upper and the lower
-//! IMU, and the time since the last ones. Out: joint angles, angular velocities, their covariance, and for each sensor whether
+//! IMU without the biases of their gyros, and the time since the last ones. Out: joint angles, angular velocities, their covariance, and for each sensor whether
 //! it was believed. It never clamps a state, never lets the magnetometer tilt a segment, and goes
 //! on by prediction where a sample is missing.
 //!
-//! Source: Weber et al. (2011), with the full recursion of `chain.rs`. [`Arm`] and [`Leg`] hold shoulder and hip on SO(3)
-//! and estimate the gyro biases: 21 and 18 error states. A [`Limb`] of [`Axes`] alone and without biases, as in that
-//! paper, has 15 and 12.
+//! Source: Weber et al. (2011), with the full recursion of `chain.rs`. [`Arm`] and [`Leg`] hold shoulder and hip on SO(3); a [`Limb`] of [`Axes`] alone is that
+//! paper's. All have 15 error states, a leg 12.
 //!
-//! Order of the error states: upper joint 9 (rotation or angles, angular velocities, accelerations); bias of the upper gyro 3,
-//! where estimated; lower joint 3 D; bias of the lower gyro 3.
+//! It knows no bias of a gyro. Each sensor's own filter estimates that from gravity and from rest, which the errors of scale of a limb that swings do not
+//! enter in step; a limb that estimated it, too, took those for a bias, and its heading left the trunk's.
+//!
+//! Order of the error states: upper joint 9 (rotation or angles, angular velocities, accelerations); lower joint 3 D.
 
 mod chain;
 mod covariance;
@@ -34,10 +35,10 @@ pub use joint::{Axes, Ball, JointNoise};
 use parameters::{Learning, PARAMETERS};
 pub use update::{FieldReference, SensorReport};
 
-/// Arm: ball joint and two axes (flexion, pronation), with gyro biases.
-pub type Arm = Limb<Ball, 2, 21>;
-/// Leg, or any limb with a hinge below a ball joint, with gyro biases.
-pub type Leg = Limb<Ball, 1, 18>;
+/// Arm: ball joint and two axes (flexion, pronation).
+pub type Arm = Limb<Ball, 2, 15>;
+/// Leg, or any limb with a hinge below a ball joint.
+pub type Leg = Limb<Ball, 1, 12>;
 
 /// What a joint that hangs on something unknown is accelerated by, m/s².
 const UNMEASURED_M_S2: f64 = 1.0;
@@ -109,10 +110,6 @@ pub struct LimbNoise {
     pub accel_m_s2: f64,
     /// Noise of an azimuth, rad.
     pub heading_rad: f64,
-    /// Initial standard deviation of a gyro bias, rad/s.
-    pub bias_initial_rad_s: f64,
-    /// Random walk of a gyro bias, rad/s per sqrt(s).
-    pub bias_walk_rad_s_per_sqrt_s: f64,
     /// How sharp an anatomical limit is, rad.
     pub limit_rad: f64,
     /// Range of the accelerometer, m/s²; an axis beyond 98 % of it is dropped.
@@ -126,16 +123,13 @@ impl Default for LimbNoise {
             gyro_rad_s: 0.01,
             accel_m_s2: 0.3,
             heading_rad: 5_f64.to_radians(),
-            bias_initial_rad_s: 0.5_f64.to_radians(),
-            bias_walk_rad_s_per_sqrt_s: 0.003_f64.to_radians(),
             limit_rad: 1_f64.to_radians(),
             accel_range_m_s2: 16.0 * GRAVITY_M_S2,
         }
     }
 }
 
-/// One limb's filter: `J` is the upper joint, D the axes of the lower one, N the number of error states (15 + 3 D with gyro
-/// biases, 9 + 3 D without). Model: Weber et al. (2011), eq. (1) and (2), corrected as `docs/methods/limb.md` lists;
+/// One limb's filter: `J` is the upper joint, D the axes of the lower one, N the number of error states (9 + 3 D). Model: Weber et al. (2011), eq. (1) and (2), corrected as `docs/methods/limb.md` lists;
 /// accuracy: `docs/body.md`. Without delay.
 #[derive(Clone, Debug, PartialEq, Plain)]
 pub struct Limb<J, const D: usize, const N: usize> {
@@ -145,7 +139,6 @@ pub struct Limb<J, const D: usize, const N: usize> {
     limits: [SVector<f64, D>; 2],
     upper: J,
     lower: Axes<D>,
-    biases: [Vector3<f64>; 2],
     p: Covariance<N>,
     /// How well the geometry is known; `None` where it is exact.
     learning: Option<Learning>,
@@ -171,7 +164,7 @@ enum Which {
     Lower,
 }
 
-/// One epoch of samples; absent: none came, and the limb moves by prediction alone.
+/// One epoch of samples, without the biases of the gyros; absent: none came, and the limb moves by prediction alone.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LimbSamples {
     /// Of the IMU above the lower joint.
@@ -182,10 +175,7 @@ pub struct LimbSamples {
 
 #[expect(private_bounds, reason = "the two kinds of joint are a closed set")]
 impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
-    const HAS_BIAS: bool = N == 15 + 3 * D;
-    const UPPER_BIAS: usize = 9;
-    const LOWER: usize = if Self::HAS_BIAS { 12 } else { 9 };
-    const LOWER_BIAS: usize = Self::LOWER + 3 * D;
+    const LOWER: usize = 9;
 
     /// A limb in a given posture, of which each angle is known to `sigma_rad`; at rest, angular velocities known to 1 rad/s,
     /// accelerations to 10 rad/s². `limits_rad` holds the least and the largest angle of each axis of the lower joint; a limit
@@ -198,19 +188,13 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         limits_rad: [SVector<f64, D>; 2],
         sigma_rad: f64,
     ) -> Self {
-        const { assert!(N == 15 + 3 * D || N == 9 + 3 * D, "with biases or without") };
+        const { assert!(N == 9 + 3 * D) };
         let mut sigmas = SVector::<f64, N>::zeros();
         for (at, k) in [(0, 3), (Self::LOWER, D)] {
             for i in 0..k {
                 sigmas[at + i] = sigma_rad;
                 sigmas[at + k + i] = 1.0;
                 sigmas[at + 2 * k + i] = 10.0;
-            }
-        }
-        if Self::HAS_BIAS {
-            for i in 0..3 {
-                sigmas[Self::UPPER_BIAS + i] = noise.bias_initial_rad_s;
-                sigmas[Self::LOWER_BIAS + i] = noise.bias_initial_rad_s;
             }
         }
         let learning = Learning::of(&geometry);
@@ -220,7 +204,6 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
             limits: limits_rad,
             upper,
             lower,
-            biases: [Vector3::zeros(); 2],
             p: Covariance { depends: learning.is_some(), ..Covariance::from_sigmas(sigmas) },
             learning,
             sensors: [update::Sensor::default(); 2],
@@ -262,11 +245,6 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         let mut motion = Motion::<N>::of_base(Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
         self.upper.rotate(&mut motion, 0);
         [motion.q_base_frame, motion.q_base_frame * self.lower.orientation()]
-    }
-
-    /// Gyro biases of the upper and the lower IMU, rad/s, sensor axes; zero where the filter has no states for them.
-    pub fn biases_rad_s(&self) -> &[Vector3<f64>; 2] {
-        &self.biases
     }
 
     /// How uncertain it is, at the time of the last step.
@@ -332,22 +310,11 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
     fn predict(&mut self, dt_s: f64) {
         self.upper.predict(&mut self.p, &self.noise.joint, dt_s, 0);
         self.lower.predict(&mut self.p, &self.noise.joint, dt_s, Self::LOWER);
-        if Self::HAS_BIAS {
-            let walk = self.noise.bias_walk_rad_s_per_sqrt_s.powi(2) * dt_s;
-            for i in 0..3 {
-                self.p.own[(Self::UPPER_BIAS + i, Self::UPPER_BIAS + i)] += walk;
-                self.p.own[(Self::LOWER_BIAS + i, Self::LOWER_BIAS + i)] += walk;
-            }
-        }
     }
 
     fn correct(&mut self, dx: &SVector<f64, N>) {
         self.upper.correct(dx, 0);
         self.lower.correct(dx, Self::LOWER);
-        if Self::HAS_BIAS {
-            self.biases[0] += dx.fixed_rows::<3>(Self::UPPER_BIAS);
-            self.biases[1] += dx.fixed_rows::<3>(Self::LOWER_BIAS);
-        }
     }
 
     /// A limit that is passed pulls the angle back as a measurement; the state is never clamped.

@@ -120,16 +120,16 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         motion.shift(&g.base_to_joint_m);
         self.upper.rotate(&mut motion, 0);
         let upper = self.p.depends.then(|| motion.frame());
-        let (q_segment_sensor, bias_at) = match which {
+        let q_segment_sensor = match which {
             Which::Upper => {
                 motion.shift(&g.upper_imu_m);
-                (&g.upper_mount, Self::UPPER_BIAS)
+                &g.upper_mount
             }
             Which::Lower => {
                 motion.shift(&g.upper_to_lower_m);
                 self.lower.rotate(&mut motion, Self::LOWER);
                 motion.shift(&g.lower_imu_m);
-                (&g.lower_mount, Self::LOWER_BIAS)
+                &g.lower_mount
             }
         };
         let back = q_segment_sensor.to_rotation_matrix().into_inner().transpose();
@@ -145,12 +145,6 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
             if which == Which::Lower {
                 dependence.length(g, &from(&upper.q), &upper.lever);
             }
-        }
-        let mut d_gyro = back * motion.d_omega;
-        let mut gyro = back * motion.omega;
-        if Self::HAS_BIAS {
-            gyro += self.biases[which as usize];
-            d_gyro.fixed_view_mut::<3, 3>(0, bias_at).fill_with_identity();
         }
         let mut azimuth = None;
         let mut d_azimuth = SMatrix::<f64, 1, N>::zeros();
@@ -168,9 +162,9 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
             dependence.azimuth(which, [back * Vector3::z(), back * tilt]);
         }
         Prediction {
-            gyro,
+            gyro: back * motion.omega,
             accel: back * motion.specific_force_m_s2,
-            d_gyro,
+            d_gyro: back * motion.d_omega,
             d_accel: back * motion.d_specific_force,
             azimuth,
             d_azimuth,
