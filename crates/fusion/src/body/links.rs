@@ -5,8 +5,8 @@
 //!
 //! Two segments that meet in a joint feel one acceleration there: carried from both sensors to the joint, the level parts of the two
 //! specific forces differ by the angle between their headings. And people do not stand twisted: spine, neck, wrists, ankles, hips and shoulders
-//! are turned about the vertical to both sides alike, some more, some less. One Kalman filter has the error of each heading and the rate at which
-//! it drifts; both say what two of them differ by.
+//! are turned about the vertical to both sides alike, some more, some less. One Kalman filter has the error of each heading and the two things by which
+//! it drifts, what is left of the gyro's bias and the error of its scale; both say what two of them differ by.
 
 use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 use posed_geometry::{so3, wrapped_rad};
@@ -29,18 +29,17 @@ const ALONE: [BodySegment; 7] = [
     BodySegment::HandL,
     BodySegment::FootL,
 ];
-/// States: all errors, rad, then all rates, rad/s.
-const STATES: usize = 2 * UNITS;
+/// States: all errors, rad, then all rates of drift, rad/s, then all errors of scale, which drift as the segment turns.
+const STATES: usize = 3 * UNITS;
 
 /// The filter runs once in so long, s.
 const WINDOW_S: f64 = 0.5;
-/// A heading's random walk, rad per root second, and how long a rate of drift stays, s.
+/// A heading's random walk, rad per root second, and how long a rate of drift stays, s, and an error of scale: which axis of the gyro is upright changes.
 const WALK_RAD: f64 = 2e-4;
-const RATE_S: f64 = 600.0;
-/// Drift besides what is known of the gyro's bias, rad/s, and as a share of how fast the segment turns about the vertical (scale), over [`TURN_S`].
+const STAYS_S: f64 = 600.0;
+/// Drift besides what is known of the gyro's bias, rad/s, and as a share of how far the segment turns about the vertical.
 const RATE_RAD_S: f64 = 5e-5;
 const SCALE: f64 = 0.003;
-const TURN_S: f64 = 5.0;
 /// How well a calibration knows a heading, rad.
 const CALIBRATED_RAD: f64 = 0.03;
 
@@ -140,13 +139,15 @@ impl Felt {
 /// Headings and what holds them together.
 #[derive(Clone, Debug, PartialEq, Plain)]
 pub(super) struct Links {
-    /// Errors that are not taken off yet, and rates.
+    /// Errors that are not taken off yet, rates, and scales.
     x: SVector<f64, STATES>,
     p: SMatrix<f64, STATES, STATES>,
     /// Whether each heading has begun.
     begun: [bool; UNITS],
-    /// How fast each turns about the vertical, on average, rad/s.
-    turns_rad_s: [f64; UNITS],
+    /// How fast each heading may drift, variance, rad²/s².
+    rates_rad2_s2: [f64; UNITS],
+    /// How far each has turned about the vertical in the running window, rad.
+    turned_rad: [f64; UNITS],
     felt: [Felt; LINKS.len()],
     window_s: f64,
 }
@@ -157,7 +158,8 @@ impl Default for Links {
             x: SVector::zeros(),
             p: SMatrix::zeros(),
             begun: [false; UNITS],
-            turns_rad_s: [0.0; UNITS],
+            rates_rad2_s2: [0.0; UNITS],
+            turned_rad: [0.0; UNITS],
             felt: [Felt::default(); LINKS.len()],
             window_s: 0.0,
         }
@@ -195,35 +197,54 @@ impl Links {
         }
     }
 
-    /// An error is none, but for so much, rad², whatever was known before.
-    fn set(&mut self, u: usize, rad2: f64) {
-        self.x[u] = 0.0;
-        self.p.row_mut(u).fill(0.0);
-        self.p.column_mut(u).fill(0.0);
-        self.p[(u, u)] = rad2;
+    /// State `k` is zero, but for this variance, whatever was known before.
+    fn set(&mut self, k: usize, variance: f64) {
+        self.x[k] = 0.0;
+        self.p.row_mut(k).fill(0.0);
+        self.p.column_mut(k).fill(0.0);
+        self.p[(k, k)] = variance;
+    }
+
+    /// A heading may drift so fast from now on, variance, rad²/s²: what a rest has shown of the gyro's bias counts from the same window on.
+    fn may_drift(&mut self, u: usize, rad2_s2: f64) {
+        let rate = UNITS + u;
+        let before_rad2_s2 = std::mem::replace(&mut self.rates_rad2_s2[u], rad2_s2);
+        if rad2_s2 >= before_rad2_s2 {
+            self.p[(rate, rate)] += rad2_s2 - before_rad2_s2;
+        } else {
+            self.scale(rate, (rad2_s2 / before_rad2_s2).sqrt());
+        }
+    }
+
+    /// State `k` is so much less than it was.
+    fn scale(&mut self, k: usize, keep: f64) {
+        self.x[k] *= keep;
+        self.p.row_mut(k).scale_mut(keep);
+        self.p.column_mut(k).scale_mut(keep);
     }
 
     /// Moves on by a window.
     fn predict(&mut self, sources: &[Option<Source>; UNITS], t: f64) {
-        let keep = libm::exp(-t / RATE_S);
+        let keep = libm::exp(-t / STAYS_S);
         for (u, source) in sources.iter().enumerate() {
-            let r = UNITS + u;
-            self.x[u] += t * self.x[r];
-            self.x[r] *= keep;
-            for k in 0..STATES {
-                let by_rate = self.p[(k, r)];
-                self.p[(k, u)] += t * by_rate;
-                self.p[(k, r)] = keep * by_rate;
-            }
-            for k in 0..STATES {
-                let by_rate = self.p[(r, k)];
-                self.p[(u, k)] += t * by_rate;
-                self.p[(r, k)] = keep * by_rate;
-            }
+            let turned_rad = std::mem::take(&mut self.turned_rad[u]);
             if let Some(Source::Gyro { rate_rad_s, .. }) = source {
-                let turning = SCALE * self.turns_rad_s[u];
-                let rate_rad2_s2 = rate_rad_s.powi(2) + RATE_RAD_S.powi(2) + turning.powi(2);
-                self.p[(r, r)] += rate_rad2_s2 * (1.0 - keep * keep);
+                self.may_drift(u, rate_rad_s.powi(2) + RATE_RAD_S.powi(2));
+            }
+            for (drifts, by) in [(UNITS + u, t), (2 * UNITS + u, turned_rad)] {
+                self.x[u] += by * self.x[drifts];
+                for k in 0..STATES {
+                    self.p[(k, u)] += by * self.p[(k, drifts)];
+                }
+                for k in 0..STATES {
+                    self.p[(u, k)] += by * self.p[(drifts, k)];
+                }
+                self.scale(drifts, keep);
+            }
+            if matches!(source, Some(Source::Gyro { .. })) {
+                let comes = 1.0 - keep * keep;
+                self.p[(UNITS + u, UNITS + u)] += self.rates_rad2_s2[u] * comes;
+                self.p[(2 * UNITS + u, 2 * UNITS + u)] += SCALE.powi(2) * comes;
                 self.p[(u, u)] += WALK_RAD.powi(2) * t;
             }
         }
@@ -249,6 +270,7 @@ impl Links {
                 let first = !self.begun.contains(&true);
                 self.begun[u] = true;
                 self.set(u, if first { 0.0 } else { CALIBRATED_RAD.powi(2) });
+                self.set(2 * UNITS + u, SCALE.powi(2));
             }
         }
     }
@@ -258,6 +280,12 @@ impl Links {
     pub(super) fn feel(&mut self, joint: usize, off_rad: f64, information: f64) {
         self.felt[joint].along = information * libm::cos(off_rad);
         self.felt[joint].across = information * libm::sin(off_rad);
+    }
+
+    /// Everybody has turned about the vertical so far, rad.
+    #[cfg(test)]
+    pub(super) fn turned(&mut self, turned_rad: f64) {
+        self.turned_rad = [turned_rad; UNITS];
     }
 
     /// Runs the filter over a window of `t`, s: takes what the joints have felt, and how they are twisted, rad with a weight. Returns by how much each heading
@@ -305,12 +333,12 @@ impl BodyFilter {
         }
         let moves = BodySegment::ALL.map(|segment| self.moves(segment, samples));
         let links = &mut self.links;
-        let gain = dt_s / (TURN_S + dt_s);
         for segment in BodySegment::ALL {
             let Some((moving, _)) = &moves[segment.index()] else { continue };
+            // The two gyros of a limb, with errors of their own, share its heading.
+            let share = if ALONE.contains(&segment) { 1.0 } else { 0.5 };
             let turns_rad_s = (moving.q_room_segment * moving.angular_velocity_rad_s).z;
-            let mean = &mut links.turns_rad_s[unit(segment)];
-            *mean += (turns_rad_s - *mean) * gain;
+            links.turned_rad[unit(segment)] += share * turns_rad_s * dt_s;
         }
         for (link, felt) in LINKS.iter().zip(&mut links.felt) {
             let Some(parent) = link.below.parent() else { continue };

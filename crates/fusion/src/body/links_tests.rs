@@ -79,6 +79,41 @@ fn what_a_field_identifies_holds_what_hangs_on_it() {
     }
 }
 
+/// Somebody walks in a circle for two minutes, and the other way round for two more: each gyro's scale is wrong by some thousandths.
+#[test]
+fn who_turns_for_minutes_has_drifted_and_says_so() {
+    let gyro = std::array::from_fn(|_| Some(Source::Gyro { rate_rad_s: 2e-5, turns: true }));
+    let torso = unit(BodySegment::Torso);
+    let mut squares = 0.0;
+    const SEEDS: u64 = 20;
+    for seed in 0..SEEDS {
+        let mut random = Random::new(seed);
+        let scales: [f64; UNITS] = std::array::from_fn(|_| 0.003 * random.normal());
+        let mut off = [0.0; UNITS];
+        let mut links = Links::default();
+        links.begin(&gyro);
+        for turns_rad_s in [0.8, -0.8] {
+            for _ in 0..240 {
+                links.turned(turns_rad_s * WINDOW_S);
+                for (off, scale) in off.iter_mut().zip(&scales) {
+                    *off += scale * turns_rad_s * WINDOW_S;
+                }
+                for (k, link) in LINKS.iter().enumerate() {
+                    let between = off[unit(link.below)] - off[unit(link.below.parent().unwrap())];
+                    links.feel(k, between + 0.5 * random.normal(), 0.2);
+                }
+                let turned = links.run(&gyro, &[None; LINKS.len()], WINDOW_S);
+                for (off, turned) in off.iter_mut().zip(turned) {
+                    *off -= turned;
+                }
+            }
+            squares += off[torso].powi(2) / links.rad2(BodySegment::Torso);
+        }
+    }
+    let sigmas = (squares / (2 * SEEDS) as f64).sqrt();
+    assert!((0.4..1.5).contains(&sigmas), "{sigmas} of the stated sigma");
+}
+
 /// A disturbed field neither turns its own sensor nor holds another.
 #[test]
 fn what_has_a_field_is_never_turned() {

@@ -206,8 +206,8 @@ fn a_tracker_on_any_segment_anchors_the_body() {
             if frame < 200 {
                 continue;
             }
-            let leaps = frame > 2400 && frame < 2500;
-            let placed = filter.anchor(&[anchor(&truth.body, if leaps { 0.6 } else { 0.0 })]);
+            let leaps = frame > 2400 && frame < 2460;
+            let placed = filter.anchor(&[anchor(&truth.body, if leaps { 1.0 } else { 0.0 })]);
             if frame > 400 {
                 assert_eq!(placed.is_none(), leaps, "{segment:?} {frame}");
                 let hips = &truth.body[BodySegment::Pelvis.index()];
@@ -224,7 +224,7 @@ fn a_tracker_on_any_segment_anchors_the_body() {
         let samples = worn(samples).map(|sample| sample.map(|sample| ImuSample { mag: None, ..sample }));
         filter.push(&samples, 0.01);
         let mut alone = filter.clone();
-        let elsewhere = anchor(&truth.body, 1.0);
+        let elsewhere = anchor(&truth.body, 2.0);
         assert!(filter.anchor(&[elsewhere; 2]).is_some(), "{segment:?}");
         assert!(alone.anchor(&[elsewhere]).is_none(), "{segment:?}");
         let until = (0..1000).position(|_| {
