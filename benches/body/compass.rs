@@ -16,7 +16,7 @@ const ACTIVITIES: [Activity; 6] = [
     Activity::Workout,
 ];
 /// People in a row of the table, each for so long, s.
-const PEOPLE: u64 = 1;
+const PEOPLE: u64 = 4;
 const ACTIVITY_S: f64 = 600.0;
 /// Joints of a column, by the segment below.
 const JOINTS: [(&str, &[BodySegment]); 6] = [
