@@ -49,6 +49,7 @@ mod vital;
 use std::any::Any;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use posed_drivers::port::Port;
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -72,7 +73,7 @@ use self::link::Link;
 use self::models::{Library, Loaded};
 use self::observers::Observers;
 use self::ports::{DevicePort, PortTask};
-use self::server::{BindError, Server};
+use self::server::{BindError, Server, Sides};
 use self::service::Service;
 use self::training::{Tools, Training};
 use posed_motion::segments::Model;
@@ -204,7 +205,8 @@ impl Daemon {
         let recordings = stage.recording.folder.clone().unwrap_or_else(|| data.join("recordings"));
         let (mut feed, mut log, mut session) = (None, None, None);
         if stage.zenoh.is_some() {
-            let context = link::Context { stage: &stage, clock, inbox: inbox.clone(), recordings };
+            let context =
+                link::Context { stage: &stage, clock, inbox: inbox.clone(), recordings: recordings.clone() };
             let connected = link.ok_or_else(|| link::ABSENT.into()).and_then(|connect| connect(context));
             match connected {
                 Ok(link) => {
@@ -218,7 +220,8 @@ impl Daemon {
                 }
             }
         }
-        let (server, hub, pending) = Server::bind_fed(&stage, config, feed)?;
+        let sides = Sides { feed, shelf: Some(Arc::new(playback::Recordings::new(recordings))) };
+        let (server, hub, pending) = Server::bind_with(&stage, config, sides)?;
         let mut service = Service::start(server);
         let jobs = Jobs::new(clock, hub.clone());
 

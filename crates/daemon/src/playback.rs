@@ -1,4 +1,4 @@
-//! A daemon without devices: a recording served to clients as a live stage would be.
+//! A recording served to clients as a live stage would be: by a daemon without devices, and beside the stage of one that has them.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
@@ -9,7 +9,8 @@ use super::clock::StageClock;
 use super::jobs::Jobs;
 use super::player::{Outlet, PlayError, Played, Player};
 use super::ports::ended;
-use super::server::{BindError, Config, PendingCall, Server};
+use super::recordings;
+use super::server::{BindError, Config, Hub, PendingCall, Server, Shelf, Take, TakeError};
 use super::service::Service;
 use super::vital::PartEnded;
 use posed_protocol::{Status, Topic};
@@ -47,6 +48,73 @@ fn forget_placeholders(server: &mut posed_stage::Server) {
     }
 }
 
+/// A recording that was opened, and is not played yet.
+struct Opened {
+    header: Header,
+    stage: Stage,
+    played: Played,
+    /// Topics beside those that its stage shows.
+    topics: Vec<Topic>,
+}
+
+impl Opened {
+    /// Reads its header and its index.
+    fn read(recording: &Path) -> Result<Self, PlaybackError> {
+        let header: Header = Reader::open(recording)?.header().clone();
+        let stage = Stage::parse(&header.stage_toml)?;
+        let outline = Outline::read(recording)?;
+        let topics = Vec::from_iter(outline.topics.contains("/input/truth").then_some(Topic::Truth));
+        let played = Played { path: recording.to_owned(), end: outline.end };
+        Ok(Self { header, stage, played, topics })
+    }
+}
+
+/// What plays into `hub` at `speed` times real time, and where it takes calls; it ends when nobody can call any more.
+fn player(
+    played: Played,
+    hub: Hub,
+    folder: PathBuf,
+    speed: f64,
+) -> Result<(Player, SyncSender<PendingCall>), PlayError> {
+    let (calls, received) = sync_channel(WAITING);
+    let clock = StageClock::start();
+    let jobs = Jobs::new(clock, hub.clone());
+    let outlet = Outlet { clock, hub, jobs };
+    Ok((Player::new(outlet, received, played, folder, speed)?, calls))
+}
+
+/// A folder of recordings that are watched beside a live stage.
+pub(super) struct Recordings {
+    folder: PathBuf,
+}
+
+impl Recordings {
+    pub(super) fn new(folder: PathBuf) -> Self {
+        Self { folder }
+    }
+}
+
+impl Shelf for Recordings {
+    fn open(&self, name: &str) -> Result<Take, TakeError> {
+        let path = recordings::find(&self.folder, name)?;
+        let unplayable = |error: PlaybackError| TakeError::Unplayable(error.to_string());
+        let Opened { header, stage, played, topics } = Opened::read(&path).map_err(unplayable)?;
+        let folder = self.folder.clone();
+        let play = move |hub: Hub, pending, down| {
+            let unplayable = |error: &dyn std::error::Error| TakeError::Unplayable(error.to_string());
+            let (player, calls) = player(played, hub, folder, 1.0).map_err(|error| unplayable(&error))?;
+            #[expect(clippy::disallowed_methods, reason = "the daemon owns the player's thread")]
+            std::thread::Builder::new()
+                .name("take".into())
+                .spawn(move || player.run())
+                .map_err(|error| unplayable(&error))?;
+            tokio::spawn(forward(pending, calls, down));
+            Ok(())
+        };
+        Ok(Take { stage, epoch_utc_ns: header.epoch_utc_ns, topics, play: Box::new(play) })
+    }
+}
+
 /// A recording being served; ends with [`Playback::shutdown`].
 pub struct Playback {
     service: Service,
@@ -69,25 +137,16 @@ impl Playback {
             Some(folder) if !folder.as_os_str().is_empty() => folder.to_owned(),
             _ => PathBuf::from("."),
         };
-        let header: Header = Reader::open(recording)?.header().clone();
-        let mut stage = Stage::parse(&header.stage_toml)?;
+        let Opened { header, mut stage, played, topics } = Opened::read(recording)?;
         forget_placeholders(&mut stage.server);
         let mut config = Config::new(&folder, header.epoch_utc_ns);
         config.listen = listen;
         config.replay = true;
-        let outline = Outline::read(recording)?;
-        if outline.topics.contains("/input/truth") {
-            config.more_topics.push(Topic::Truth);
-        }
+        config.more_topics = topics;
         let (server, hub, pending) = Server::bind(&stage, config)?;
         let mut service = Service::start(server);
 
-        let (calls, received) = sync_channel(WAITING);
-        let clock = StageClock::start();
-        let jobs = Jobs::new(clock, hub.clone());
-        let outlet = Outlet { clock, hub, jobs };
-        let played = Played { path: recording.to_owned(), end: outline.end };
-        let player = Player::new(outlet, received, played, folder, speed)?;
+        let (player, calls) = player(played, hub, folder, speed)?;
         #[expect(clippy::disallowed_methods, reason = "the daemon owns the player's thread")]
         let player = std::thread::Builder::new()
             .name("player".into())

@@ -16,3 +16,4 @@ mod run;
 mod segments;
 mod service;
 mod sessions;
+mod takes;

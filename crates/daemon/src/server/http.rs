@@ -1,4 +1,4 @@
-//! What can be asked over HTTP: the page, `/ws` (and Foxglove's websocket at `/` too), `/metrics`, `/health`; and who is refused before that.
+//! What can be asked over HTTP: the page, `/ws` (and Foxglove's websocket at `/` too), `/metrics`, `/health`, `/takes`; and who is refused before that.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{Extension, Path, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::middleware::{self, Next};
-use axum::response::{IntoResponse, Response};
+use axum::response::{IntoResponse, Redirect, Response};
 use axum::routing::get;
 use axum::{Router, extract::rejection::ExtensionRejection};
 
@@ -17,6 +17,7 @@ use super::listen::ConnectionContext;
 use super::metrics::Metrics;
 use super::requests::Requests;
 use super::slots::{NoSlot, Slot};
+use super::takes::Takes;
 use super::{Shared, client, viewer};
 use posed_protocol::foxglove;
 use posed_protocol::{Encoding, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK};
@@ -28,8 +29,8 @@ const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; \
     style-src 'self' 'sha256-vJCJIUwHF6Fgs6eoxQVnJGR4PcyaPSUgJ/2tmH39GeE='; connect-src 'self'; \
     img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// What one stage answers.
-pub(super) fn router(shared: Arc<Shared>) -> Router {
+/// What one stage answers, and with `takes` the recordings beside it.
+pub(super) fn router(shared: Arc<Shared>, takes: Option<Takes>) -> Router {
     let context = Arc::clone(&shared.context);
     let routes = Router::new()
         .route("/", get(root))
@@ -37,7 +38,8 @@ pub(super) fn router(shared: Arc<Shared>) -> Router {
         .route("/health", get(health))
         .route("/metrics", get(metrics))
         .route("/ws", get(websocket))
-        .with_state(shared);
+        .with_state(shared)
+        .merge(takes.map(Takes::routes).unwrap_or_default());
     guarded(routes, context)
 }
 
@@ -61,6 +63,14 @@ pub(super) async fn health(State(shared): State<Arc<Shared>>) -> (StatusCode, St
     codes.dedup();
     let problems = codes.iter().map(|code| format!("problem: {code}\n"));
     (StatusCode::OK, "ok\n".to_owned() + &problems.collect::<String>())
+}
+
+/// Relative addresses on a page begin below its name.
+pub(super) async fn with_slash(uri: Uri) -> Redirect {
+    let query = uri.query().map(|query| format!("?{query}")).unwrap_or_default();
+    // Relative, so that it leads nowhere else, whatever the path looks like.
+    let name = uri.path().rsplit('/').next().unwrap_or_default();
+    Redirect::temporary(&format!("./{name}/{query}"))
 }
 
 /// A file of the page.
@@ -137,18 +147,31 @@ pub(super) async fn root(
     }
 }
 
+/// The place of a connection, where there is one.
+pub(super) type SlotOf = Result<Extension<Arc<Slot>>, ExtensionRejection>;
+
 pub(super) async fn websocket(
     State(shared): State<Arc<Shared>>,
-    slot: Result<Extension<Arc<Slot>>, ExtensionRejection>,
+    slot: SlotOf,
     headers: HeaderMap,
     uri: Uri,
     upgrade: WebSocketUpgrade,
 ) -> Response {
     let slot = slot.ok().map(|Extension(slot)| slot);
-    let role = match admit(&shared.context, &headers, &uri, slot.as_deref()) {
-        Ok(role) => role,
-        Err((reason, refusal)) => return refuse(&shared.context, reason, refusal),
-    };
+    match admit(&shared.context, &headers, &uri, slot.as_deref()) {
+        Ok(role) => admitted(shared, slot, role, upgrade, ()),
+        Err((reason, refusal)) => refuse(&shared.context, reason, refusal),
+    }
+}
+
+/// A websocket for who may have one; `held` is dropped when it ends.
+pub(super) fn admitted(
+    shared: Arc<Shared>,
+    slot: Option<Arc<Slot>>,
+    role: Role,
+    upgrade: WebSocketUpgrade,
+    held: impl Send + 'static,
+) -> Response {
     let [sdk, older] = foxglove::wire::SUBPROTOCOLS;
     let upgrade =
         bounded(upgrade, &shared.context).protocols([SUBPROTOCOL_MSGPACK, SUBPROTOCOL_JSON, sdk, older]);
@@ -159,6 +182,7 @@ pub(super) async fn websocket(
         _ => Speaks::Own(Encoding::Json),
     };
     upgrade.on_upgrade(move |socket| async move {
+        let _held = held;
         let burst = shared.context.limits.message_burst;
         match speaks {
             Speaks::Own(encoding) => {

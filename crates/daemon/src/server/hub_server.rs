@@ -10,12 +10,11 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use axum::Router;
-use axum::extract::rejection::ExtensionRejection;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{Extension, Path as PathOf, State};
 use axum::http::{HeaderMap, StatusCode, Uri};
-use axum::response::{IntoResponse, Redirect, Response};
+use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use tokio::sync::{mpsc, watch};
 
@@ -25,7 +24,6 @@ use super::hub::Item;
 use super::listen::ConnectionContext;
 use super::listener::Listener;
 use super::metrics::Metrics;
-use super::slots::Slot;
 use super::{BindError, Command, Shared, StageInfo, StageServices, client, http, rfc3339, topics_of, viewer};
 use crate::ports::ended;
 use posed_protocol::{Counters, Encoding, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK, Stages, Stamp, Topic};
@@ -115,7 +113,7 @@ impl HubServer {
             .route("/health", get(async || "ok\n"))
             .route("/metrics", get(metrics))
             .route("/ws", get(everything))
-            .route("/{stage}", get(with_slash))
+            .route("/{stage}", get(http::with_slash))
             .route("/{stage}/", get(stage_root))
             .route(
                 "/{stage}/assets/{name}",
@@ -243,8 +241,6 @@ async fn distribute(
     }
 }
 
-type SlotOf = Result<Extension<Arc<Slot>>, ExtensionRejection>;
-
 async fn metrics(State(registry): State<StageRegistry>, headers: HeaderMap, uri: Uri) -> Response {
     let context = &registry.registered.context;
     http::counts(context, &context.metrics, &headers, &uri)
@@ -253,7 +249,7 @@ async fn metrics(State(registry): State<StageRegistry>, headers: HeaderMap, uri:
 /// The websocket for all stages.
 async fn everything(
     State(registry): State<StageRegistry>,
-    slot: SlotOf,
+    slot: http::SlotOf,
     headers: HeaderMap,
     uri: Uri,
     upgrade: WebSocketUpgrade,
@@ -274,18 +270,10 @@ async fn everything(
     })
 }
 
-/// Relative addresses on the page begin below the stage's name.
-async fn with_slash(uri: Uri) -> Redirect {
-    let query = uri.query().map(|query| format!("?{query}")).unwrap_or_default();
-    // Relative, so that it leads nowhere else, whatever the path looks like.
-    let name = uri.path().trim_start_matches('/').to_owned();
-    Redirect::temporary(&format!("./{name}/{query}"))
-}
-
 async fn stage_root(
     State(registry): State<StageRegistry>,
     PathOf(id): PathOf<String>,
-    slot: SlotOf,
+    slot: http::SlotOf,
     headers: HeaderMap,
     uri: Uri,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
@@ -299,7 +287,7 @@ async fn stage_root(
 async fn stage_websocket(
     State(registry): State<StageRegistry>,
     PathOf(id): PathOf<String>,
-    slot: SlotOf,
+    slot: http::SlotOf,
     headers: HeaderMap,
     uri: Uri,
     upgrade: WebSocketUpgrade,

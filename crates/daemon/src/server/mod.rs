@@ -29,6 +29,7 @@ mod reports;
 mod requests;
 mod slots;
 mod streams;
+mod takes;
 #[cfg(test)]
 pub(crate) mod testing;
 mod tls;
@@ -48,6 +49,7 @@ use self::listener::Listener;
 use self::metrics::Metrics;
 use self::reports::Reports;
 use self::streams::Streaming;
+use self::takes::Takes;
 use self::vrpn::{Outlet, Vrpn};
 use super::clock::StageClock;
 use super::fault_points;
@@ -65,6 +67,7 @@ pub use self::holding::Holding;
 pub use self::hub::{Hub, Item};
 pub use self::hub_server::{HubServer, StageEndpoint, StageRegistry};
 pub use self::requests::{PendingCall, Refusal, Reply};
+pub(crate) use self::takes::{Shelf, Take, TakeError};
 pub use self::tls::TlsError;
 
 /// Where the server listens unless the stage file or the command line specifies otherwise.
@@ -171,6 +174,15 @@ const COMMANDS: usize = 1024;
 /// Requests that may wait to be handed on.
 const CALLS: usize = 64;
 
+/// What a live stage has beside it; nothing by default.
+#[derive(Default)]
+pub(super) struct Sides {
+    /// All that is published goes there too, for programs on other machines.
+    pub(super) feed: Option<Box<dyn Feed>>,
+    /// Recordings that clients may watch.
+    pub(super) shelf: Option<Arc<dyn Shelf>>,
+}
+
 /// A server that is bound and not yet running.
 pub struct Server {
     listener: Listener,
@@ -179,6 +191,7 @@ pub struct Server {
     vrpn: Option<Vrpn>,
     hub: Hub,
     commands: mpsc::Receiver<Command>,
+    takes: Option<Takes>,
 }
 
 /// What every connection to a stage needs.
@@ -262,14 +275,14 @@ impl Server {
         stage: &Stage,
         config: Config,
     ) -> Result<(Self, Hub, mpsc::Receiver<PendingCall>), BindError> {
-        Self::bind_fed(stage, config, None)
+        Self::bind_with(stage, config, Sides::default())
     }
 
-    /// The same; all that is published goes to `feed` too, for programs on other machines.
-    pub(super) fn bind_fed(
+    /// The same, with what a live stage has beside it.
+    pub(super) fn bind_with(
         stage: &Stage,
         config: Config,
-        feed: Option<Box<dyn Feed>>,
+        sides: Sides,
     ) -> Result<(Self, Hub, mpsc::Receiver<PendingCall>), BindError> {
         let listener = Listener::open(&stage.server, config.listen, &config.folder)?;
         let metrics = Arc::clone(&listener.context.metrics);
@@ -300,9 +313,11 @@ impl Server {
         let lsl = stage.lsl.as_ref().zip(config.clock.filter(|_| !config.replay));
         let lsl = lsl.map(|(settings, clock)| Streaming::start(stage, settings, clock, Arc::clone(&metrics)));
         let distributor = Distributor::new(Arc::clone(&shared.names), limits, metrics, config.counters);
+        let Sides { feed, shelf } = sides;
+        let takes = shelf.map(|shelf| Takes::new(shelf, &listener.context));
         let outlets = Outlets { distributor, viewers, vrpn: vrpn_outlet, datagrams, lsl, feed };
         let hub_in = hub.clone();
-        let server = Self { listener, shared, outlets, vrpn, hub: hub_in, commands };
+        let server = Self { listener, shared, outlets, vrpn, hub: hub_in, commands, takes };
         Ok((server, hub, calls))
     }
 
@@ -329,12 +344,12 @@ impl Server {
     /// Serves until `shutdown` resolves; then tells every client goodbye (1001) and returns within the shutdown timeout. A part
     /// that ends before is reported by `vital`.
     pub async fn run(self, shutdown: impl Future<Output = ()>, vital: Vital) {
-        let Self { listener, shared, outlets, vrpn, hub, commands } = self;
+        let Self { listener, shared, outlets, vrpn, hub, commands, takes } = self;
         let distributing = distribute(outlets, hub, commands, Arc::clone(&shared));
         let distributing = tokio::spawn(vital.task("what sends to clients", distributing));
         let others = vrpn.map(|vrpn| vital.task("what serves VRPN", vrpn.run(listener.report.subscribe())));
         let others = others.map(tokio::spawn);
-        listener.serve(http::router(shared), shutdown).await;
+        listener.serve(http::router(shared, takes), shutdown).await;
         distributing.abort();
         // What it holds has then ended too.
         let _ = distributing.await;
