@@ -45,6 +45,7 @@ mod service;
 mod track;
 mod training;
 mod vital;
+mod waypoints;
 
 use std::any::Any;
 use std::net::SocketAddr;

@@ -16,6 +16,7 @@ use super::observers::Health;
 use super::recordings;
 use super::server::{Hub, PendingCall, Refusal};
 use super::track;
+use super::waypoints::{Resumed, Waypoints};
 use posed_pipeline::SupervisedPipeline;
 use posed_protocol::{Answer, Call, Recordings, ReplayStatus, Started};
 use posed_recording::{Item, Machine, MachineError, Outline, ReadError, Reader};
@@ -78,6 +79,7 @@ struct Playing {
     /// Host time and stream time at which `speed` was set.
     since: (Timestamp, Timestamp),
     ended: Option<String>,
+    waypoints: Option<Waypoints>,
 }
 
 impl Player {
@@ -216,9 +218,12 @@ impl Player {
 
     /// Sets out for `t`, through the pipeline: filters arrive there as they did live. Says the job's number.
     fn seek(&mut self, t: Timestamp) -> Result<u64, PlayError> {
-        if t < self.playing.at {
+        let (now, back) = (self.clock.now(), t < self.playing.at);
+        if self.playing.leap(t, back, now) {
+            // On from a place that is closer.
+        } else if back {
             let Playing { played, speed, .. } = &self.playing;
-            self.playing = Playing::open(played.clone(), Some(&self.stage), *speed, self.clock.now())?;
+            self.playing = Playing::open(played.clone(), Some(&self.stage), *speed, now)?;
         }
         self.end_seeking(Err("another time was sought".into()));
         self.hub.rewind();
@@ -265,7 +270,8 @@ impl Player {
     }
 
     fn publish_status(&mut self, now: Timestamp) {
-        let Playing { played: Played { path, end }, pipeline, begun, at, speed, ended, .. } = &self.playing;
+        let Playing { played: Played { path, end }, pipeline, begun, at, speed, ended, waypoints, .. } =
+            &self.playing;
         let mut status = self.health.status(now, &pipeline.status(), None, &self.clock);
         status.replay = Some(ReplayStatus {
             name: path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
@@ -274,6 +280,7 @@ impl Player {
             t_s: at.as_secs_f64(),
             speed: speed.is_finite().then_some(*speed),
             ended: ended.clone(),
+            passed_s: waypoints.as_ref().map_or(*at, Waypoints::until).max(*begun).as_secs_f64(),
         });
         self.hub.publish_status(status);
     }
@@ -292,6 +299,7 @@ impl Playing {
             return Err(PlayError::OtherStage { stage: stage.name });
         }
         let begun = reader.header().begun;
+        let waypoints = Waypoints::look_for(&played);
         let mut playing = Self {
             played,
             reader,
@@ -302,9 +310,21 @@ impl Playing {
             speed,
             since: (now, begun),
             ended: None,
+            waypoints,
         };
         playing.read_next();
         Ok(playing)
+    }
+
+    /// Goes to the last known place before `t`; false where there is none, or none closer than where it stands, unless it has to go `back`.
+    fn leap(&mut self, t: Timestamp, back: bool, now: Timestamp) -> bool {
+        let than = if back { self.begun } else { self.at };
+        let resumed = self.waypoints.as_ref().and_then(|waypoints| waypoints.before(t, than));
+        let Some(Resumed { t, reader, pipeline }) = resumed else { return false };
+        (self.reader, self.pipeline, self.at) = (reader, pipeline, t);
+        (self.next, self.ended, self.since) = (None, None, (now, t));
+        self.read_next();
+        true
     }
 
     /// Host time of the next entry; `None` in a pause and at the end.

@@ -46,6 +46,7 @@
 pub mod animation;
 mod atomic_file;
 mod bundle;
+mod chunks;
 mod compare;
 pub mod export;
 mod index;
@@ -59,6 +60,7 @@ mod repair;
 mod replay;
 mod scribe;
 mod sink;
+mod summary;
 pub mod table;
 mod take;
 mod writer;
@@ -73,6 +75,7 @@ pub mod testing;
 mod tests;
 
 pub use atomic_file::{AtomicFile, sync_folder_of};
+pub use chunks::Chunks;
 pub use compare::{Comparison, Difference, Golden, GoldenError, is_replayed};
 pub use ending::{Ending, ReadError};
 pub use header::{Header, Snapshot};

@@ -3,19 +3,17 @@
 //! From the index, which takes no time, where the recording has one; by reading all of it where it was torn.
 
 use std::collections::BTreeSet;
-use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 use std::time::Duration;
 
 use mcap::records::{Record, op};
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use posed_drivers::Timestamp;
 
 use super::ending::ReadError;
 use super::info::Info;
 use super::reader::Reader;
 use super::records::parse;
+use super::summary::each_record;
 
 /// End and topics of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -50,54 +48,29 @@ struct Index {
     topics: BTreeSet<String>,
 }
 
-/// Bytes of the last record and of the mark behind it; the place of the index stands after its kind and length.
-const FOOTER: i64 = 1 + 8 + 20 + mcap::MAGIC.len() as i64;
-const PLACE: std::ops::Range<usize> = 9..17;
-
-/// The index at the end of the file; `None` where there is none that can be read: torn or damaged, what can be read of it says more.
+/// The index at the end of the file; `None` where there is none that can be read.
 fn index(path: &Path) -> Result<Option<Index>, ReadError> {
-    let mut file = File::open(path)?;
-    let bytes = file.metadata()?.len();
-    let mut footer = [0; FOOTER as usize];
-    if bytes < footer.len() as u64 {
-        return Ok(None);
-    }
-    file.seek(SeekFrom::End(-FOOTER))?;
-    file.read_exact(&mut footer)?;
-    let place = footer[PLACE].try_into().map_or(0, u64::from_le_bytes);
-    if !footer.ends_with(mcap::MAGIC) || footer[0] != op::FOOTER || !(1..bytes).contains(&place) {
-        return Ok(None);
-    }
-    file.seek(SeekFrom::Start(place))?;
-    let longest = usize::try_from(bytes - place).unwrap_or(usize::MAX);
-    let options =
-        LinearReaderOptions::default().with_skip_start_magic(true).with_record_length_limit(longest);
-    let mut reader = LinearReader::new_with_options(options);
     let (mut topics, mut end_ns) = (BTreeSet::new(), None);
-    while let Some(event) = reader.next_event() {
-        match event {
-            Ok(LinearReadEvent::ReadRequest(wanted)) => {
-                let read = file.read(reader.insert(wanted))?;
-                reader.notify_read(read);
+    let found = each_record(path, |opcode, data| {
+        if matches!(opcode, op::CHANNEL | op::STATISTICS) {
+            match parse(opcode, data).ok()? {
+                Record::Channel(channel) => _ = topics.insert(channel.topic),
+                Record::Statistics(statistics) => end_ns = Some(statistics.message_end_time),
+                _ => return None,
             }
-            Ok(LinearReadEvent::Record { opcode: opcode @ (op::CHANNEL | op::STATISTICS), data }) => {
-                match parse(opcode, data) {
-                    Ok(Record::Channel(channel)) => _ = topics.insert(channel.topic),
-                    Ok(Record::Statistics(statistics)) => end_ns = Some(statistics.message_end_time),
-                    _ => return Ok(None),
-                }
-            }
-            Ok(LinearReadEvent::Record { .. }) => {}
-            Err(_) => return Ok(None),
         }
-    }
-    Ok(end_ns.map(|end_ns| Index { end_ns, topics }))
+        Some(())
+    })?;
+    Ok(end_ns.filter(|_| found).map(|end_ns| Index { end_ns, topics }))
 }
 
 #[cfg(test)]
 mod tests {
+    use std::fs::File;
+
     use super::*;
     use crate::Writer;
+    use crate::summary::{FOOTER, PLACE};
     use crate::testing::{chunk, header};
 
     #[test]

@@ -57,7 +57,8 @@ pub struct Reader<R> {
     kinds: BTreeMap<u16, Kind>,
     /// What is left of the newest bundle.
     bundled: VecDeque<Item>,
-    next_entry: u32,
+    /// Number of the next entry; `None` of one that began in the middle, before its first.
+    next_entry: Option<u32>,
     sound_messages: u64,
     end_reason: Option<String>,
     failed: bool,
@@ -123,16 +124,46 @@ impl<R: Read> Reader<R> {
                 None => return Err(ReadError::NotARecording("it ends before its first chunk".to_owned())),
             }
         };
-        Ok(Self {
+        Ok(Self { next_entry: Some(0), ..Self::resumed(records, header) })
+    }
+
+    /// Reads on where `records` stand.
+    pub(super) fn resumed(records: Records<R>, header: Header) -> Self {
+        Self {
             records,
             header,
             kinds: BTreeMap::new(),
             bundled: VecDeque::new(),
-            next_entry: 0,
+            next_entry: None,
             sound_messages: 0,
             end_reason: None,
             failed: false,
-        })
+        }
+    }
+
+    /// Number of the next entry, before which nothing is left; `None` at the end.
+    pub(super) fn first_entry(&mut self) -> Result<Option<u32>, ReadError> {
+        while let Some(item) = self.read()? {
+            if matches!(item, Item::Entry(_)) {
+                // What is unbundled counts already.
+                let waiting =
+                    self.bundled.iter().filter(|item| matches!(item, Item::Entry(_))).count() as u32;
+                self.bundled.push_front(item);
+                return Ok(self.next_entry.map(|next| next.wrapping_sub(waiting + 1)));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Reads on until the next entry is that of this number; false where it begins behind that, or ends before.
+    pub(super) fn pass_to(&mut self, entry: u32) -> Result<bool, ReadError> {
+        while let Some(next) = self.first_entry()? {
+            if next >= entry {
+                return Ok(next == entry);
+            }
+            self.bundled.pop_front();
+        }
+        Ok(false)
     }
 
     /// What stands in front.
@@ -217,10 +248,10 @@ impl<R: Read> Reader<R> {
 
     /// So many entries come next, of which the first has the number `found`.
     fn count(&mut self, found: u32, entries: usize) -> Result<(), ReadError> {
-        if found != self.next_entry {
-            return Err(ReadError::Hole { expected: self.next_entry, found });
+        if let Some(expected) = self.next_entry.filter(|expected| *expected != found) {
+            return Err(ReadError::Hole { expected, found });
         }
-        self.next_entry = found.wrapping_add(entries as u32);
+        self.next_entry = Some(found.wrapping_add(entries as u32));
         Ok(())
     }
 

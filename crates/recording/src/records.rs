@@ -21,12 +21,54 @@ pub(super) enum Record {
     Message(Message<'static>),
 }
 
+/// Schemas and channels that were seen.
+#[derive(Clone, Default)]
+pub(super) struct Known {
+    schemas: BTreeMap<u16, Arc<Schema<'static>>>,
+    channels: BTreeMap<u16, Arc<Channel<'static>>>,
+}
+
+impl Known {
+    /// Takes a schema or a channel from the index; `None` where it cannot be read.
+    pub(super) fn learn(&mut self, opcode: u8, data: &[u8]) -> Option<()> {
+        self.take(parse(opcode, data).ok()?.into_owned()).ok()
+    }
+
+    /// Takes a schema or a channel, or says what is wrong with it.
+    fn take(&mut self, record: Raw<'static>) -> Result<(), String> {
+        match record {
+            Raw::Schema { header, data } => {
+                let schema = Schema { id: header.id, name: header.name, encoding: header.encoding, data };
+                let (id, schema) = (schema.id, Arc::new(schema));
+                if self.schemas.insert(id, Arc::clone(&schema)).is_some_and(|old| old != schema) {
+                    return Err(format!("schema {} changes midway", schema.name));
+                }
+            }
+            Raw::Channel(channel) => {
+                let mcap::records::Channel { id, topic, message_encoding, metadata, schema_id } = channel;
+                let schema = match schema_id {
+                    0 => None,
+                    id => match self.schemas.get(&id) {
+                        Some(schema) => Some(Arc::clone(schema)),
+                        None => return Err(format!("channel {topic} names an unknown schema")),
+                    },
+                };
+                let channel = Arc::new(Channel { id, topic, schema, message_encoding, metadata });
+                if self.channels.insert(id, Arc::clone(&channel)).is_some_and(|old| old != channel) {
+                    return Err(format!("channel {} changes midway", channel.topic));
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+}
+
 /// Iterates the records of a file.
 pub(super) struct Records<R> {
     source: R,
     reader: LinearReader,
-    schemas: BTreeMap<u16, Arc<Schema<'static>>>,
-    channels: BTreeMap<u16, Arc<Channel<'static>>>,
+    known: Known,
     /// Bytes taken from the source.
     position: u64,
     /// The data section is over: what follows is the index, which repeats schemas and channels.
@@ -43,20 +85,26 @@ impl<R: Read> Records<R> {
             .with_prevalidate_chunk_crcs(true)
             .with_validate_data_section_crc(true)
             .with_record_length_limit(longest);
-        Self {
-            source,
-            reader: LinearReader::new_with_options(options),
-            schemas: BTreeMap::new(),
-            channels: BTreeMap::new(),
-            position: 0,
-            summary: false,
-            ending: None,
-        }
+        Self::of(source, options, Known::default())
+    }
+
+    /// From a source that stands at the beginning of a chunk.
+    pub(super) fn resumed(source: R, known: Known) -> Self {
+        let options = LinearReaderOptions::default()
+            .with_skip_start_magic(true)
+            .with_prevalidate_chunk_crcs(true)
+            .with_record_length_limit(MAX_RECORD_BYTES);
+        Self::of(source, options, known)
+    }
+
+    fn of(source: R, options: LinearReaderOptions, known: Known) -> Self {
+        let reader = LinearReader::new_with_options(options);
+        Self { source, reader, known, position: 0, summary: false, ending: None }
     }
 
     /// The channels seen so far, those without a message too.
     pub(super) fn channels(&self) -> impl Iterator<Item = &Arc<Channel<'static>>> {
-        self.channels.values()
+        self.known.channels.values()
     }
 
     /// Bytes taken from the source.
@@ -126,28 +174,11 @@ impl<R: Read> Records<R> {
             return Ok(None);
         }
         match record {
-            Raw::Schema { header, data } => {
-                let schema = Schema { id: header.id, name: header.name, encoding: header.encoding, data };
-                let (id, schema) = (schema.id, Arc::new(schema));
-                if self.schemas.insert(id, Arc::clone(&schema)).is_some_and(|old| old != schema) {
-                    return Err(self.corrupt(format!("schema {} changes midway", schema.name)));
-                }
-            }
-            Raw::Channel(channel) => {
-                let schema = match channel.schema_id {
-                    0 => None,
-                    id => Some(self.schemas.get(&id).cloned().ok_or_else(|| {
-                        self.corrupt(format!("channel {} names an unknown schema", channel.topic))
-                    })?),
-                };
-                let mcap::records::Channel { id, topic, message_encoding, metadata, .. } = channel;
-                let channel = Arc::new(Channel { id, topic, schema, message_encoding, metadata });
-                if self.channels.insert(id, Arc::clone(&channel)).is_some_and(|old| old != channel) {
-                    return Err(self.corrupt(format!("channel {} changes midway", channel.topic)));
-                }
+            record @ (Raw::Schema { .. } | Raw::Channel(_)) => {
+                self.known.take(record).map_err(|reason| self.corrupt(reason))?;
             }
             Raw::Message { header, data } => {
-                let channel = self.channels.get(&header.channel_id).cloned().ok_or_else(|| {
+                let channel = self.known.channels.get(&header.channel_id).cloned().ok_or_else(|| {
                     self.corrupt(format!("message of unknown channel {}", header.channel_id))
                 })?;
                 return Ok(Some(Record::Message(Message {

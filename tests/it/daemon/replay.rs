@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use posed_recording::Info;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::process::{Posed, ok, refused, replays_alike, succeed, until};
 use crate::cli::posed;
@@ -161,6 +161,38 @@ async fn a_replay_is_steered_over_the_websocket() {
         assert!(got == code && sentence.contains(words), "{request}: {got} {sentence}");
     }
     assert_eq!(posed.end("INT").await.code(), Some(0));
+}
+
+/// Sought from a place near by, or back, the same is shown as when everything before is passed through.
+#[tokio::test]
+async fn a_jump_shows_what_a_whole_replay_shows() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = recording(folder.path(), "a.mcap", 6000);
+    let whole = folder.path().join("whole.jsonl");
+    succeed(["replay".as_ref(), path.as_os_str(), "-o".as_ref(), whole.as_os_str()]);
+    let whole: Vec<Value> = fs::read_to_string(whole)
+        .unwrap()
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .filter(|message: &Value| message["type"] == "sensors")
+        .collect();
+    let posed = Posed::start(["replay", path.to_str().unwrap(), "--speed", "0.001"]);
+    let mut client = posed.subscriber(&["sensors", "status", "jobs"]).await;
+    until(&mut client, "all of it passed through", |message| {
+        message["replay"].is_object() && message["replay"]["passed_s"] == message["replay"]["end_s"]
+    })
+    .await;
+    for t_s in [55.0, 20.005, 40.3, 40.4, 1.3, 59.9] {
+        ok(&mut client, json!({"type": "replay.seek", "t_s": t_s})).await;
+        let expected = whole.iter().rfind(|message| message["t_s"].as_f64().unwrap() < t_s - 0.02).unwrap();
+        let fits = |message: &Value| message["type"] == "sensors" && message["t_s"] == expected["t_s"];
+        let shown = until(&mut client, "the pose sought", fits).await;
+        let (shown, expected) = (&shown["sensors"][0], &expected["sensors"][0]);
+        assert!(shown.as_object().unwrap().len() > 4);
+        for (field, value) in shown.as_object().unwrap() {
+            assert_eq!(*value, expected[field], "{field} at {t_s} s");
+        }
+    }
 }
 
 #[tokio::test]

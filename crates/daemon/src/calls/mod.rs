@@ -158,7 +158,7 @@ impl Calls {
             Call::ReplayTrack { name, columns } => track::answer(&self.recordings, &name, columns, reply),
             Call::ReplayOpen { .. } | Call::ReplaySeek { .. } | Call::ReplaySpeed { .. } => reply.error(
                 "live",
-                "this daemon tracks a live stage; open a recording with `posed replay FILE`, which serves it to clients",
+                "this daemon tracks a live stage; a recording of its folder is watched at /takes/NAME/, any other with `posed replay FILE`",
             ),
             Call::FieldStart { sensors, spacing_m } => self.calibration.start(sensors, spacing_m, reply),
             Call::FieldFinish { anchors } => self.calibration.finish(anchors, reply),

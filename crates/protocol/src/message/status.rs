@@ -134,6 +134,8 @@ pub struct ReplayStatus {
     pub speed: Option<f64>,
     /// Why it goes no further: its end, or damage; null while it can go on.
     pub ended: Option<String>,
+    /// Up to where it has been passed through, s: to any time before that it is sought in a moment.
+    pub passed_s: f64,
 }
 
 /// Something that is wrong now.

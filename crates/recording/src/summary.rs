@@ -1,0 +1,52 @@
+//! The end of an MCAP file, where its index stands: read without what lies before.
+
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use mcap::records::op;
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+
+/// Bytes of the last record and of the mark behind it; the place of the index stands after its kind and length.
+pub(super) const FOOTER: i64 = 1 + 8 + 20 + mcap::MAGIC.len() as i64;
+pub(super) const PLACE: std::ops::Range<usize> = 9..17;
+
+/// Hands over each record of the index by its kind and its bytes. False where there is no index that can be read: torn or damaged, what can be read of the file
+/// says more; `each` says so by `None`.
+pub(super) fn each_record(
+    path: &Path,
+    mut each: impl FnMut(u8, &[u8]) -> Option<()>,
+) -> Result<bool, io::Error> {
+    let mut file = File::open(path)?;
+    let bytes = file.metadata()?.len();
+    let mut footer = [0; FOOTER as usize];
+    if bytes < footer.len() as u64 {
+        return Ok(false);
+    }
+    file.seek(SeekFrom::End(-FOOTER))?;
+    file.read_exact(&mut footer)?;
+    let place = footer[PLACE].try_into().map_or(0, u64::from_le_bytes);
+    if !footer.ends_with(mcap::MAGIC) || footer[0] != op::FOOTER || !(1..bytes).contains(&place) {
+        return Ok(false);
+    }
+    file.seek(SeekFrom::Start(place))?;
+    let longest = usize::try_from(bytes - place).unwrap_or(usize::MAX);
+    let options =
+        LinearReaderOptions::default().with_skip_start_magic(true).with_record_length_limit(longest);
+    let mut reader = LinearReader::new_with_options(options);
+    while let Some(event) = reader.next_event() {
+        match event {
+            Ok(LinearReadEvent::ReadRequest(wanted)) => {
+                let read = file.read(reader.insert(wanted))?;
+                reader.notify_read(read);
+            }
+            Ok(LinearReadEvent::Record { opcode, data }) => {
+                if each(opcode, data).is_none() {
+                    return Ok(false);
+                }
+            }
+            Err(_) => return Ok(false),
+        }
+    }
+    Ok(true)
+}
