@@ -93,6 +93,12 @@ export type Call = {
 } | {
   /** The reply carries it. */
   id: RequestId;
+  /** What happens now, 200 bytes at most; absent: nothing is said of it. */
+  label?: string | null;
+  type: "mark";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
   type: "replay.list";
 } | {
   /** The reply carries it. */
@@ -1037,6 +1043,22 @@ export type MapVersion = {
   version: number;
 };
 
+/** What every data message starts with, and its body. */
+export type MarkMessage = {
+  /** Data messages of all topics that were dropped for this client so far. */
+  dropped: number;
+  /** Stage-wide number of the event, from 1. */
+  event_id: number;
+  /** What happened, in the words of whoever noted it; may be empty. */
+  label: string;
+  /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
+  seq: number;
+  /** Stream time at which it was noted, s; rises strictly (by 1 µs between events of one frame). */
+  t_s: number;
+  /** Capture time of the frame before it, s. */
+  t_valid_s: number;
+};
+
 /** A raw record in device axes. */
 export type Measured = {
   /** Angular rate of a body-worn sensor in its own axes, rad/s; this and the following only where the record holds them. */
@@ -1552,6 +1574,8 @@ export type ServerMessage = Hello & {
   type: "exercise";
 } | MotionSegmentMessage & {
   type: "segments";
+} | MarkMessage & {
+  type: "marks";
 } | Stages & {
   type: "stages";
 };
@@ -1722,6 +1746,8 @@ export type StatusMessage = {
   devices: DeviceStatus[];
   /** Data messages of all topics that were dropped for this client so far. */
   dropped: number;
+  /** What the disk of the recordings still takes, bytes; null where nobody knows, and in a replay. */
+  free_bytes: number | null;
   /** How long each stage of the flow took since the last status. */
   latency: StageLatency[];
   /** What is wrong now, beside the devices' own reasons: disk full, wall clock set, ... */
@@ -1754,7 +1780,7 @@ export type Still = {
 export type Thoroughness = "quick" | "full" | "movement" | "assign";
 
 /** A topic; its name is the `type` of its messages. */
-export type Topic = "status" | "sensors" | "body" | "faults" | "keyframes" | "segments" | "exercise" | "field" | "jobs" | "truth" | "session";
+export type Topic = "status" | "sensors" | "body" | "faults" | "keyframes" | "segments" | "exercise" | "field" | "jobs" | "truth" | "session" | "marks";
 
 /** Channels of a whole recording. */
 export type Tracked = {

@@ -27,6 +27,7 @@ mod calls;
 mod clock;
 mod fault_points;
 pub mod find;
+mod free_space;
 mod fusion;
 mod inbox;
 mod jobs;
@@ -67,6 +68,7 @@ pub use self::vital::{PartEnded, Vital};
 
 use self::calibration::{Calibration, MapInUse};
 use self::calls::Calls;
+use self::free_space::FreeSpace;
 use self::fusion::{Command, Fusion, INBOX_CAPACITY};
 use self::inbox::Inbox;
 use self::jobs::Jobs;
@@ -235,6 +237,7 @@ impl Daemon {
             let device = device as u16;
             ports.push(Some(PortTask { device, clock, inbox, commands: receiver, shutdown }));
         }
+        let disk = FreeSpace::new();
         let calibration = Calibration::new(&stage, &data, clock, inbox.clone(), jobs.clone());
         calibration.begin(in_use);
         if let Some(segments) = &stage.segments {
@@ -260,6 +263,7 @@ impl Daemon {
             entries: 0,
             recording_header: posed_recording::Header::new(&stage, &stage_toml, clock.epoch_utc_ns()),
         };
+        fusion.observers.health.watch_disk(disk.clone());
         for model in loaded.models {
             // Before anything else, and in the log.
             let input = Input::Model(model);
@@ -285,6 +289,7 @@ impl Daemon {
         let calls = Calls::new(&stage, data, clock, inbox.clone(), jobs, calibration, training);
         let calls = calls.run(pending, service.down());
         service.spawn("what answers requests", calls);
+        service.spawn("what looks at the disk", disk.watch(recordings, service.down()));
         Ok(Self { clock, service, inbox, ports, fusion, link: session })
     }
 

@@ -193,6 +193,7 @@ impl Player {
             | Call::FaultsNameCell { .. }
             | Call::SegmentsTrain { .. }
             | Call::BodyCalibrate { .. }
+            | Call::Mark { .. }
             | Call::HeadingReset { .. }
             | Call::StageAlign { .. }
             | Call::ImuCalibrate { .. }

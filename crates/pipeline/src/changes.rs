@@ -10,7 +10,7 @@ use super::input_error::InputError;
 use super::sensor::Sensor;
 use posed_fusion::noise::TrackerNoise;
 use posed_motion::fault_map::FaultMap;
-use posed_stage::input::{DeviceIndex, Model, Request, SensorIndex};
+use posed_stage::input::{DeviceIndex, MARK_BYTES, Model, Request, SensorIndex};
 use posed_stage::output::{Outcome, OutcomeKind, Output};
 use posed_stage::{BodyIndex, body_named};
 
@@ -47,7 +47,7 @@ impl Pipeline {
         }
     }
 
-    /// Whether a request about exercises or headings can be carried out now; [`Input::Request`](crate::Input::Request) then does.
+    /// Whether a request about exercises, headings or marks can be carried out now; [`Input::Request`](crate::Input::Request) then does.
     ///
     /// # Errors
     /// What stands against it. Requests about the field are refused here in any case; [`Self::push`] carries
@@ -57,6 +57,10 @@ impl Pipeline {
             Request::HeadingReset { body, sensor, heading_rad } => {
                 self.heading(body.as_deref(), sensor.as_deref(), *heading_rad).map(drop)
             }
+            Request::Mark { label } if label.len() > MARK_BYTES => {
+                Err(InputError::OutOfRange { key: "label", expected: format!("at most {MARK_BYTES} bytes") })
+            }
+            Request::Mark { .. } => Ok(()),
             _ => self.exercise.check(request),
         }
     }
@@ -126,6 +130,14 @@ impl Pipeline {
             Request::HeadingReset { body, sensor, heading_rad } => {
                 let about = self.heading(body.as_deref(), sensor.as_deref(), *heading_rad);
                 about.is_ok_and(|(at, sensor)| self.bodies[at].reset_heading(sensor, *heading_rad))
+            }
+            Request::Mark { label } => {
+                let noted = label.len() <= MARK_BYTES;
+                if noted {
+                    let what = OutcomeKind::Mark { label: label.clone() };
+                    emit(Output::Outcome(&Outcome { t_valid: t, t_decided: t, what }));
+                }
+                noted
             }
             Request::ExerciseSelect { .. } | Request::ExerciseReset { .. } => {
                 self.exercise.request(request, &self.estimate, &mut |outcome| emit(Output::Outcome(outcome)))

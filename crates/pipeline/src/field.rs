@@ -128,9 +128,10 @@ impl Field {
                 let nothing = PoleRun { sensors: Vec::new(), spacing_m: 0.0, frames: Vec::new() };
                 emit(Output::PoleRun(collected.as_ref().map_or(&nothing, |collected| collected.guide.run())));
             }
-            Request::ExerciseSelect { .. } | Request::ExerciseReset { .. } | Request::HeadingReset { .. } => {
-                return false;
-            }
+            Request::ExerciseSelect { .. }
+            | Request::ExerciseReset { .. }
+            | Request::HeadingReset { .. }
+            | Request::Mark { .. } => return false,
         }
         true
     }

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use super::body::FigureBody;
 use super::message::{
-    ExerciseEvent, Fault, FaultChange, FieldChange, FieldEvent, Jobs, KeyPose, ScrewMotion, SegmentBody,
-    Sessions, Status,
+    ExerciseEvent, Fault, FaultChange, FieldChange, FieldEvent, Jobs, KeyPose, Mark, ScrewMotion,
+    SegmentBody, Sessions, Status,
 };
 use super::sensors::{SensorsBody, TruthBody};
 use super::{Names, Stamp, Topic, View, exercise, round};
@@ -80,6 +80,7 @@ impl<'a> Payload<'a> {
                 OutcomeKind::ModelSwapped(_) | OutcomeKind::Field(_) => Topic::Field,
                 OutcomeKind::KeyPose(_) => Topic::Keyframes,
                 OutcomeKind::MotionSegment(_) => Topic::Segments,
+                OutcomeKind::Mark { .. } => Topic::Marks,
             },
         }
     }
@@ -149,6 +150,9 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
                         delay_s: round::to(1e3, segment.delay_s),
                     };
                     write(encoding, &body, out);
+                }
+                OutcomeKind::Mark { label } => {
+                    write(encoding, &Mark { t_s, event_id, t_valid_s, label: label.clone() }, out);
                 }
                 OutcomeKind::ModelSwapped(model) => {
                     let change = FieldChange::swapped(model);

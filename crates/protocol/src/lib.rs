@@ -49,11 +49,11 @@ pub use message::{
     Answer, Begun, Change, Contacts, Data, Demonstration, Deviation, DeviceStatus, ErrorReply,
     ExerciseChange, ExerciseEvent, Exercises, Fault, FaultChange, FieldChange, FieldEvent, Figure,
     FigureSegment, HeadingSource, Hello, HelloBody, HelloSensor, Job, JobState, Jobs, JointEntry, Judged,
-    KeptExercise, KeptFile, KeyPose, LearntEntry, LinkState, ListedSessions, MapVersion, Measured, OkReply,
-    People, PlanProgress, Plans, Problem, Quality, RecordingBegun, RecordingStatus, Recordings, RelatedClock,
-    ReplayStatus, Report, Resumed, RunningSession, ScrewMotion, SegmentBody, SegmentEntry, SensorEntry,
-    SensorStatus, Sensors, ServerMessage, SessionBegun, Sessions, Shown, Sole, Spoken, StageEntry,
-    StageLatency, StagePresence, Stages, Started, Status, Tracked, TruthEntry, Truths,
+    KeptExercise, KeptFile, KeyPose, LearntEntry, LinkState, ListedSessions, MapVersion, Mark, Measured,
+    OkReply, People, PlanProgress, Plans, Problem, Quality, RecordingBegun, RecordingStatus, Recordings,
+    RelatedClock, ReplayStatus, Report, Resumed, RunningSession, ScrewMotion, SegmentBody, SegmentEntry,
+    SensorEntry, SensorStatus, Sensors, ServerMessage, SessionBegun, Sessions, Shown, Sole, Spoken,
+    StageEntry, StageLatency, StagePresence, Stages, Started, Status, Tracked, TruthEntry, Truths,
 };
 pub use names::Names;
 pub use packed::{unpack, unpacker};

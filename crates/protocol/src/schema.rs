@@ -6,8 +6,8 @@ use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value, json};
 
 use super::message::{
-    Answers, Data, ExerciseEvent, Fault, FieldEvent, Figure, Jobs, KeyPose, SegmentBody, Sensors, Sessions,
-    Status, Truths,
+    Answers, Data, ExerciseEvent, Fault, FieldEvent, Figure, Jobs, KeyPose, Mark, SegmentBody, Sensors,
+    Sessions, Status, Truths,
 };
 use super::plain::plain;
 use super::{Call, Feed, RequestId, ServerMessage, Topic, typescript};
@@ -61,6 +61,7 @@ pub fn of_topic(topic: Topic) -> String {
         Topic::Exercise => generator.root_schema_for::<Data<ExerciseEvent>>(),
         Topic::Keyframes => generator.root_schema_for::<Data<KeyPose>>(),
         Topic::Body => generator.root_schema_for::<Data<Figure>>(),
+        Topic::Marks => generator.root_schema_for::<Data<Mark>>(),
         Topic::Segments => generator.root_schema_for::<Data<SegmentBody>>(),
     };
     let mut schema = plain(&schema.to_value());

@@ -30,11 +30,13 @@ pub enum Topic {
     Truth,
     /// Who trains now, and how far the plan is.
     Session,
+    /// Moments that somebody noted; events.
+    Marks,
 }
 
 impl Topic {
     /// Number of topics.
-    pub const COUNT: usize = 11;
+    pub const COUNT: usize = 12;
     /// All topics, in the order of their indices.
     pub const ALL: [Self; Self::COUNT] = [
         Self::Status,
@@ -48,6 +50,7 @@ impl Topic {
         Self::Jobs,
         Self::Truth,
         Self::Session,
+        Self::Marks,
     ];
 
     /// Name on the wire.
@@ -64,6 +67,7 @@ impl Topic {
             Self::Jobs => "jobs",
             Self::Truth => "truth",
             Self::Session => "session",
+            Self::Marks => "marks",
         }
     }
 
@@ -74,7 +78,10 @@ impl Topic {
 
     /// Whether its messages are events, which no client may miss, rather than states, of which the newest counts.
     pub const fn is_event(self) -> bool {
-        matches!(self, Self::Faults | Self::Keyframes | Self::Segments | Self::Exercise | Self::Field)
+        matches!(
+            self,
+            Self::Faults | Self::Keyframes | Self::Segments | Self::Exercise | Self::Field | Self::Marks
+        )
     }
 }
 

@@ -20,6 +20,9 @@ pub type DeviceIndex = u16;
 /// Index of a sensor in the stage file's `[[sensor]]` list ([`crate::Stage::sensors`]), from 0.
 pub type SensorIndex = u16;
 
+/// Longest label of a mark.
+pub const MARK_BYTES: usize = 200;
+
 /// Least standard deviation of a tracker, m and rad, and least reference distance, m.
 const LEAST_NOISE: f64 = 1e-9;
 /// Lengths of the field that can be those of a device's own records, which have about 1.
@@ -197,6 +200,11 @@ pub enum Request {
     },
     /// Ends that: the recording goes out as `Output::PoleRun`, empty where none was under way. The map is solved elsewhere.
     FieldFinish {},
+    /// Notes a moment, for whoever looks at the recording later: goes out as `OutcomeKind::Mark`.
+    Mark {
+        /// What happens then: [`MARK_BYTES`] at most, may be empty.
+        label: String,
+    },
     /// The person looks this way now, upright: the headings of IMUs that no field identifies begin anew from it.
     HeadingReset {
         /// The person, by the name of the body; absent: the one who wears the IMU, or the only one.

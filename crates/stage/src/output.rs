@@ -320,6 +320,11 @@ pub enum OutcomeKind {
     KeyPose(KeyPoseEvent),
     /// A segment of the motion begins, or an earlier report of it is withdrawn; `t_valid` is when it begins.
     MotionSegment(MotionSegment),
+    /// Somebody noted the moment; `t_valid` is that of the frame before it.
+    Mark {
+        /// What happened, in their words; may be empty.
+        label: String,
+    },
     /// The field is disturbed, or has drifted, or a guided calibration goes on.
     Field(FieldNews),
 }

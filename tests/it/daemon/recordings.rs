@@ -8,7 +8,9 @@ use posed_stage::RecordingContent;
 use posed_stage::input::Input;
 use serde_json::{Value, json};
 
-use super::process::{Posed, all_ok, frames, ok, record_start, replays, succeed, two_devices, until};
+use super::process::{
+    Posed, all_ok, frames, ok, record_start, refused, replays, replays_alike, succeed, two_devices, until,
+};
 use crate::cli::posed;
 
 /// In a stage file: messages beside the log, to hold the replay against.
@@ -87,6 +89,38 @@ async fn a_recording_begun_mid_run_with_a_model_swapped_in_replays_and_a_killed_
     let end_s = info.begun_s + info.duration_s;
     assert!(end_s > last - 1.0, "the recording ends at {end_s} s, the client saw {last} s");
     repaired(&torn);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_mark_is_heard_at_once_and_again_in_every_replay() {
+    let folder = tempfile::tempdir().unwrap();
+    let stage = two_devices(folder.path(), FULL);
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut client = posed.client().await;
+    let mut listener = posed.subscriber(&["marks", "sensors", "status"]).await;
+    // Who is to record knows whether there is room.
+    let has_room = |message: &Value| message["free_bytes"].as_u64().is_some_and(|free| free > 0);
+    until(&mut listener, "free space", has_room).await;
+    let frame = frames(&mut listener, 1).await.remove(0);
+    ok(&mut client, record_start("take")).await;
+    ok(&mut client, json!({"type": "mark", "label": "pain here"})).await;
+    let mark = until(&mut listener, "the mark", |message| message["type"] == "marks").await;
+    assert_eq!(mark["label"], "pain here");
+    assert!(mark["t_valid_s"].as_f64().unwrap() >= frame["t_s"].as_f64().unwrap(), "{mark} {frame}");
+    let (_, sentence) = refused(&mut client, json!({"type": "mark", "label": "x".repeat(201)})).await;
+    assert!(sentence.contains("at most 200 bytes"), "{sentence}");
+    ok(&mut client, json!({"type": "mark"})).await;
+    let is_bare = |message: &Value| message["type"] == "marks" && message["label"] == "";
+    until(&mut listener, "a mark without a label", is_bare).await;
+    ok(&mut client, json!({"type": "record.stop"})).await;
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+    let take = folder.path().join("recordings/take.mcap");
+    replays_alike(&take);
+    let out = folder.path().join("take.jsonl");
+    succeed(["replay".as_ref(), take.as_os_str(), "-o".as_ref(), out.as_os_str()]);
+    let said = std::fs::read_to_string(&out).unwrap();
+    assert_eq!(said.matches(r#""type":"marks""#).count(), 2, "{said}");
+    assert!(said.contains("pain here"));
 }
 
 /// `POSED_KILLS=100` is the number of the criteria.

@@ -144,6 +144,9 @@ impl Calls {
             Call::RecordStop {} => {
                 self.inbox.command(Command::StopRecording { reply: Some(reply) });
             }
+            Call::Mark { label } => {
+                self.request(Request::Mark { label: label.unwrap_or_default() }, Vec::new(), reply);
+            }
             Call::ModelLoad { model } => match self.check_model(&model) {
                 Ok(()) => {
                     self.inbox.command(Command::LoadModel { model, reply: Some(reply) });

@@ -3,6 +3,7 @@
 use posed_drivers::{State, Timestamp};
 
 use super::super::clock::StageClock;
+use super::super::free_space::FreeSpace;
 use super::super::fusion::Recording;
 use super::{Observer, Times};
 use posed_fusion::faults::Cause;
@@ -39,6 +40,8 @@ pub(crate) struct Health {
     /// The bodies' names.
     names: Vec<String>,
     recording_failure: Option<String>,
+    /// What the disk of the recordings still takes; absent where nothing is recorded.
+    disk: Option<FreeSpace>,
     /// Entries that tracking has left out, and how often it has begun anew, by the last status.
     recovered: (u64, u64),
     /// The time since which this machine does not keep up, and by how much, ms.
@@ -106,6 +109,7 @@ impl Health {
             bodies: vec![Vec::new(); stage.bodies.len()],
             names: stage.bodies.iter().map(|body| body.name.clone()).collect(),
             recording_failure: None,
+            disk: None,
             recovered: (0, 0),
             behind: None,
             changed: true,
@@ -188,6 +192,11 @@ impl Health {
         self.changed && now >= self.last_status + min
     }
 
+    /// The status tells from now on what this disk still takes.
+    pub(crate) fn watch_disk(&mut self, disk: FreeSpace) {
+        self.disk = Some(disk);
+    }
+
     /// The status as of `now`; begins the next interval.
     pub(crate) fn status(
         &mut self,
@@ -250,6 +259,7 @@ impl Health {
                 bytes: recording.recorder.bytes_written(),
                 started_s: recording.started.as_secs_f64(),
             }),
+            free_bytes: self.disk.as_ref().and_then(FreeSpace::bytes),
             replay: None,
             problems: self.problems(clock, &pipeline.bodies),
             // The server knows and fills it in.

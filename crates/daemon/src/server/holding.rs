@@ -89,7 +89,7 @@ impl<T> Holding<T> {
                 }
                 ExerciseWhat::Repetition(_) | ExerciseWhat::Hint(_) => None,
             },
-            OutcomeKind::KeyPose(_) => None,
+            OutcomeKind::KeyPose(_) | OutcomeKind::Mark { .. } => None,
         };
         if matches!(state, Some((Key::FieldMap, _))) {
             // What watches over the field begins anew with each map.

@@ -362,8 +362,15 @@ impl Server {
 
 /// What a stage publishes; `more` beside what its file specifies.
 fn topics_of(stage: &Stage, more: &[Topic]) -> Vec<Topic> {
-    let mut topics =
-        vec![Topic::Status, Topic::Sensors, Topic::Faults, Topic::Field, Topic::Jobs, Topic::Session];
+    let mut topics = vec![
+        Topic::Status,
+        Topic::Sensors,
+        Topic::Faults,
+        Topic::Field,
+        Topic::Jobs,
+        Topic::Session,
+        Topic::Marks,
+    ];
     // Whatever is tracked can be taught and counted, and learnt to be named.
     topics.extend((!stage.sensors.is_empty()).then_some(Topic::Exercise));
     topics.extend((!stage.sensors.is_empty()).then_some(Topic::Segments));

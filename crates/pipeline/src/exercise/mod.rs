@@ -229,9 +229,10 @@ impl ExerciseStage {
                 let known = self.subjects.iter().any(|known| known.name() == subject);
                 if known { Ok(()) } else { Err(InputError::NoSubject(subject.clone())) }
             }
-            Request::FieldStart { .. } | Request::FieldFinish {} | Request::HeadingReset { .. } => {
-                Err(InputError::NotAboutExercises)
-            }
+            Request::FieldStart { .. }
+            | Request::FieldFinish {}
+            | Request::HeadingReset { .. }
+            | Request::Mark { .. } => Err(InputError::NotAboutExercises),
         }
     }
 
@@ -260,7 +261,10 @@ impl ExerciseStage {
                     known.reset(estimate.t_valid, emit);
                 }
             }
-            Request::FieldStart { .. } | Request::FieldFinish {} | Request::HeadingReset { .. } => {}
+            Request::FieldStart { .. }
+            | Request::FieldFinish {}
+            | Request::HeadingReset { .. }
+            | Request::Mark { .. } => {}
         }
         true
     }

@@ -58,6 +58,7 @@ pub(super) fn sentence(outcome: &Outcome, names: &Names) -> Option<(Level, Strin
             };
             (Level::Debug, names.sensor(event.sensor), sentence)
         }
+        OutcomeKind::Mark { label } => (Level::Info, "mark", label.clone()),
         OutcomeKind::MotionSegment(segment) => match segment.event {
             SegmentEvent::Confirmed => (Level::Info, "segments", format!("{} begins", segment.label)),
             SegmentEvent::Provisional => {

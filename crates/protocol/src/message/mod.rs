@@ -11,6 +11,7 @@ mod field;
 mod hello;
 mod jobs;
 mod keyframes;
+mod marks;
 mod reply;
 mod segments;
 mod sensors;
@@ -34,6 +35,7 @@ pub use self::field::{FieldChange, FieldEvent};
 pub use self::hello::{Hello, HelloBody, HelloSensor};
 pub use self::jobs::{Job, JobState, Jobs};
 pub use self::keyframes::{KeyPose, ScrewMotion};
+pub use self::marks::Mark;
 pub use self::reply::{ErrorReply, OkReply};
 pub use self::segments::SegmentBody;
 pub use self::sensors::{Change, Measured, Quality, SensorEntry, Sensors};
@@ -76,6 +78,8 @@ pub enum ServerMessage {
     Exercise(Data<ExerciseEvent>),
     /// A segment of the motion begins.
     Segments(Data<SegmentBody>),
+    /// Somebody noted a moment.
+    Marks(Data<Mark>),
     /// All stages of a hub; only on a hub's own websocket.
     Stages(Stages),
 }

@@ -16,6 +16,9 @@ pub struct Status {
     pub latency: Vec<StageLatency>,
     /// The recording in progress; null without one.
     pub recording: Option<RecordingStatus>,
+    /// What the disk of the recordings still takes, bytes; null where nobody knows, and in a replay.
+    #[serde(default)]
+    pub free_bytes: Option<u64>,
     /// The recording that is being replayed; null on a live stage.
     #[serde(default)]
     pub replay: Option<ReplayStatus>,

@@ -83,6 +83,13 @@ pub enum Call {
     /// Ends the recording.
     #[serde(rename = "record.stop")]
     RecordStop {},
+    /// Notes this moment: an event of the topic `marks`, and in the recording that is in progress.
+    #[serde(rename = "mark")]
+    Mark {
+        /// What happens now, 200 bytes at most; absent: nothing is said of it.
+        #[serde(default)]
+        label: Option<String>,
+    },
     /// Names the recordings.
     #[serde(rename = "replay.list")]
     ReplayList {},

@@ -22,9 +22,10 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 36] = [
+const CALLS: [&str; 37] = [
     "record.start",
     "record.stop",
+    "mark",
     "replay.list",
     "replay.track",
     "replay.open",
@@ -132,12 +133,13 @@ fn shortened(text: &str) -> String {
 
 /// Requests of every kind, for tests and as seeds of the fuzz target.
 #[doc(hidden)]
-pub const REQUEST_EXAMPLES: [&str; 39] = [
+pub const REQUEST_EXAMPLES: [&str; 40] = [
     r#"{"type":"subscribe","id":1,"topics":["sensors"],"max_rate_hz":30,"sensors":["a"],"fields":["raw"],"drop":"queue"}"#,
     r#"{"type":"unsubscribe","id":"x","topics":["status","body"]}"#,
     r#"{"type":"resume","id":1,"after":7}"#,
     r#"{"type":"record.start","id":1}"#,
     r#"{"type":"record.stop","id":1}"#,
+    r#"{"type":"mark","id":1,"label":"pain here"}"#,
     r#"{"type":"replay.list","id":1}"#,
     r#"{"type":"replay.track","id":1,"name":"a.mcap","columns":["a.x"]}"#,
     r#"{"type":"replay.open","id":1,"name":"a.mcap"}"#,
