@@ -7,8 +7,16 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{env, fs, io};
 
-const SOURCES: [&str; 7] =
-    ["src", "index.html", "hub.html", "package.json", "package-lock.json", "tsconfig.json", "vite.config.ts"];
+const SOURCES: [&str; 8] = [
+    "src",
+    "index.html",
+    "hub.html",
+    "package.json",
+    "package-lock.json",
+    "tsconfig.json",
+    "svelte.config.js",
+    "vite.config.ts",
+];
 
 fn main() {
     let viewer = PathBuf::from(env::var("CARGO_MANIFEST_DIR").expect("cargo sets it"));

@@ -1,8 +1,10 @@
+import { svelte } from "@sveltejs/vite-plugin-svelte";
 import { defineConfig } from "vite";
 
 // Built by cargo (build.rs), which states where to: nothing is written beside the sources.
 export default defineConfig({
   base: "./",
+  plugins: [svelte()],
   build: { target: "es2022", assetsInlineLimit: 0, chunkSizeWarningLimit: 1000, modulePreload: { polyfill: false },
     // The page of a stage, and the one of a hub.
     rollupOptions: { input: ["index.html", "hub.html"] },

@@ -42,7 +42,7 @@ struct Args {
 const PROBE: &str = include_str!("probe.js");
 
 /// The views, by the word in the address.
-const VIEWS: [&str; 6] = ["stage-view", "trainer", "health", "calibrate-record", "analysis", "replay"];
+const VIEWS: [&str; 6] = ["watch", "coach", "check", "calibrate", "analyse", "replay"];
 
 #[tokio::main]
 async fn main() {
@@ -69,7 +69,7 @@ async fn openings(served: &stage::Served, count: usize) {
 
 async fn frames(served: &stage::Served, each: Duration) {
     let mut browser = Browser::open_with(&served.url, Some(PROBE)).await;
-    browser.until("document.getElementById('summary').textContent.endsWith('of 50 are good')").await;
+    browser.until("document.getElementById('summary').textContent.includes('of 50 are good')").await;
     println!("| view | frames per second | messages per second | median, ms | 95 %, ms | 99 %, ms |");
     println!("|---|---|---|---|---|---|");
     for view in VIEWS {
@@ -95,7 +95,7 @@ async fn frames(served: &stage::Served, each: Duration) {
 
 /// A tab that nobody sees: what it draws, how it grows, how soon it is current once it is seen again.
 async fn hidden(browser: &mut Browser, each: Duration) {
-    browser.click("tab-health").await;
+    browser.click("tab-check").await;
     browser.hide(true).await;
     browser.until("document.hidden").await;
     let before = browser.heap_bytes().await;

@@ -160,6 +160,16 @@ impl Browser {
         self.value(&format!("document.getElementById('{id}').click()")).await;
     }
 
+    /// Fills in a field or chooses from a list, as somebody does: `which` is a selector.
+    pub(crate) async fn fill(&mut self, which: &str, value: &str) {
+        self.until(&format!("document.querySelector(\"{which}\") !== null")).await;
+        let fill = format!(
+            "(() => {{ const field = document.querySelector(\"{which}\"); field.value = {value:?}; \
+             for (const kind of ['input', 'change']) field.dispatchEvent(new Event(kind, {{ bubbles: true }})); }})()"
+        );
+        self.value(&fill).await;
+    }
+
     /// Lets the page go on.
     #[expect(clippy::disallowed_methods, reason = "a page's time is the wall's")]
     pub(crate) async fn pause(&mut self, duration: Duration) {

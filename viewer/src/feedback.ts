@@ -2,16 +2,7 @@
 
 import type { Repetition } from "./model";
 import type { ExerciseState } from "./protocol";
-
-export type Language = "en" | "de";
-
-/** What is said of a repetition as taught. */
-const PRAISE: Record<Language, string> = { en: "Well done.", de: "Gut gemacht." };
-
-/** The language of this browser. */
-export function ownLanguage(): Language {
-  return navigator.language.startsWith("de") ? "de" : "en";
-}
+import { type Language, TEXTS } from "./text/index.svelte";
 
 /** What the daemon says in that language; null where it says nothing. */
 export function spokenIn(language: Language, { sentence, sentence_de }: { sentence: string | null; sentence_de: string | null }): string | null {
@@ -23,19 +14,21 @@ export function sentenceOf(repetition: Repetition, language: Language): { text: 
   const said = spokenIn(language, repetition);
   if (said === null && repetition.event === "rejected") return null;
   // The daemon's begin small.
-  const text = said === null ? PRAISE[language] : `${said.charAt(0).toUpperCase()}${said.slice(1)}.`;
+  const text = said === null ? TEXTS[language].coach.praise : `${said.charAt(0).toUpperCase()}${said.slice(1)}.`;
   return { text, good: said === null };
 }
 
-/** Takes a judged repetition into what was said of the sets; a count that begins anew is the next set. */
-export function advance(state: ExerciseState | null, { event, exercise, count, set_count }: Repetition): void {
-  const progress = state?.exercises.find((each) => each.exercise === exercise);
-  if (!progress) return;
-  if (event === "counted") {
-    if (progress.set_count > 0 && set_count <= progress.set_count) progress.set++;
-    progress.rest_until_s = null;
-  }
-  Object.assign(progress, { count, set_count });
+/** What was said of the sets, with a judged repetition in it; a count that begins anew is the next set. */
+export function advance(state: ExerciseState | null, { event, exercise, count, set_count }: Repetition): ExerciseState | null {
+  if (state === null) return null;
+  const exercises = state.exercises.map((progress) => {
+    if (progress.exercise !== exercise) return progress;
+    const next = { ...progress, count, set_count };
+    if (event !== "counted") return next;
+    const begins = progress.set_count > 0 && set_count <= progress.set_count;
+    return { ...next, set: progress.set + Number(begins), rest_until_s: null };
+  });
+  return { ...state, exercises };
 }
 
 /** Speaks; what was not said yet is over. */

@@ -65,7 +65,7 @@ export class Link {
   ) {}
 
   connect(): void {
-    this.onState("connecting", "connecting…");
+    this.onState("connecting", "");
     const token = tokenOf(location);
     const query = token === null ? "" : `?token=${encodeURIComponent(token)}`;
     const socket = new WebSocket(websocketOf(location) + query, "posed.v1");
@@ -122,7 +122,7 @@ export class Link {
   }
 
   private greet(hello: Hello): void {
-    this.onState("open", `connected, posed ${hello.version}`);
+    this.onState("open", "");
     this.states = hello.topics.filter((topic) => topic === "sensors" || topic === "truth" || topic === "body");
     const rest = hello.topics.filter((topic) => !this.states.includes(topic));
     this.request({ type: "subscribe", topics: rest }).catch(ignore);
@@ -143,11 +143,11 @@ export class Link {
   private async closed(greeted: boolean, why: string): Promise<void> {
     // A browser does not say why a websocket was refused; the daemon reports it over HTTP.
     if (!greeted && (await isUnauthorised())) {
-      this.onState("unauthorised", "this daemon asks for a token");
+      this.onState("unauthorised", "");
       return;
     }
     const wait = RETRY_MS[Math.min(this.attempts++, RETRY_MS.length - 1)] ?? 5000;
-    this.onState("lost", `${why}. Trying again.`);
+    this.onState("lost", why);
     setTimeout(() => this.connect(), wait);
   }
 }

@@ -1,13 +1,15 @@
 // What the daemon has said: the newest state of each topic, a short history for curves and trails, the last events.
 // Bounded: it never grows over hours.
 
-import type { Change, ExerciseEventMessage, FaultEvent, FaultMap, FigureMessage, Hello, HelloBody, JobsMessage, KeyPoseMessage, MotionSegmentMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage, Vec3 } from "./protocol";
+import type { Change, ExerciseEventMessage, FaultEvent, FaultMap, FieldEventMessage, FigureMessage, Hello, HelloBody, JobsMessage, KeyPoseMessage, MotionSegmentMessage, Pose, ScrewMotion, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage, Vec3 } from "./protocol";
 import { Rows } from "./rows";
 
 /** Seconds of history for curves. */
 export const HISTORY_S = 20;
 const HISTORY_ROWS = HISTORY_S * 60;
 const EVENTS = 200;
+/** Rates that are kept of a sensor: those of a minute. */
+const RATES = 60;
 /** Of a sensor's history: m, m/s. */
 const HISTORY_NAMES = ["x", "y", "z", "speed", "sigma"];
 
@@ -29,6 +31,9 @@ function keep(all: Map<string, Rows>, name: string, t_s: number, values: Record<
 
 /** All faults of one cause at one sensor: when the newest began or ended, and how many there were. */
 export type Faults = { sensor: string; cause: string; t_s: number; times: number; active: boolean };
+
+/** A map of the field that was swapped in. */
+export type FieldMap = Extract<FieldEventMessage, { event: "map_swapped" }>;
 
 /** A repetition that has been judged. */
 export type Repetition = Extract<ExerciseEventMessage, { event: "counted" | "rejected" }>;
@@ -59,6 +64,12 @@ export class Model {
   /** By sensor and cause. */
   readonly faults = new Map<string, Faults>();
   faultMap: FaultMap | null = null;
+  /** The map of the field that is in use, as it was swapped in. */
+  fieldMap: FieldMap | null = null;
+  /** Where the transmitter stands now. */
+  transmitter: Pose | null = null;
+  /** By sensor: what it did between its latest two key poses. */
+  readonly screws = new Map<string, ScrewMotion>();
   /** What was said of segments of the motion and not taken back, by beginning. */
   segments: MotionSegmentMessage[] = [];
   /** By sensor: where it was. */
@@ -70,6 +81,11 @@ export class Model {
   readonly angleSigmas = new Map<string, Rows>();
   /** By sensor: the statistic of key poses, and what a peak of it must exceed. */
   readonly changes = new Map<string, Rows>();
+  /** By sensor: its rate in the last minute, Hz, once a second. */
+  readonly rates = new Map<string, number[]>();
+  /** By device: the share of its records of the last minute that were refused, 0 to 1. */
+  readonly refused = new Map<string, number>();
+  private readonly records = new Map<string, [records: number, rejected: number][]>();
   /** Confirmed ones. */
   keyPoses: KeyPoseMessage[] = [];
   /** Browser time of the newest frame, ms. */
@@ -114,10 +130,16 @@ export class Model {
         this.angles.clear();
         this.angleSigmas.clear();
         this.changes.clear();
+        this.rates.clear();
+        this.records.clear();
+        this.refused.clear();
         this.keyPoses = [];
         this.body = null;
         this.truth = null;
         this.faultMap = null;
+        this.fieldMap = null;
+        this.transmitter = message.transmitter;
+        this.screws.clear();
         this.segments = [];
         this.repetitions = [];
         break;
@@ -131,11 +153,14 @@ export class Model {
         this.truth = message;
         break;
       case "keyframes":
+        if (message.screw) this.screws.set(message.sensor, message.screw);
         if (message.phase === "confirmed") this.keyPoses.push(message);
         if (this.keyPoses.length > EVENTS) this.keyPoses.shift();
         break;
       case "status":
         this.status = message;
+        this.takeRates(message);
+        this.takeRecords(message);
         break;
       case "jobs":
         this.jobs = message;
@@ -150,6 +175,10 @@ export class Model {
       case "segments":
         this.takeSegment(message);
         break;
+      case "field":
+        if (message.event === "map_swapped") this.fieldMap = message;
+        else if (message.event === "model_swapped" && message.model.kind === "transmitter") this.transmitter = message.model;
+        break;
       case "exercise":
         if ((message.subject ?? this.subject) !== this.subject) break;
         if (message.event === "counted" || message.event === "rejected") this.repetitions.push(message);
@@ -157,6 +186,23 @@ export class Model {
         break;
     }
     this.listeners.forEach((listener) => listener(message));
+  }
+
+  private takeRates({ sensors }: StatusMessage): void {
+    for (const { name, rate_hz } of sensors) {
+      if (rate_hz === null) continue;
+      // A new list each time: who draws it sees that it has changed.
+      this.rates.set(name, [...(this.rates.get(name) ?? []), rate_hz].slice(-RATES));
+    }
+  }
+
+  private takeRecords({ devices }: StatusMessage): void {
+    for (const { name, records, rejected } of devices) {
+      const kept = [...(this.records.get(name) ?? []), [records, rejected] as [number, number]].slice(-RATES);
+      this.records.set(name, kept);
+      const [[good, bad]] = kept as [[number, number]];
+      this.refused.set(name, (rejected - bad) / Math.max(1, records - good + rejected - bad));
+    }
   }
 
   private takeFault({ sensor, cause, t_s, active }: FaultEvent): void {

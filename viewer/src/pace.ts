@@ -15,7 +15,8 @@ export class Pace {
   private frames = 0;
   private rate_hz = DRAWN_HZ;
 
-  constructor(private readonly tell: (rate_hz: number) => void) {}
+  /** `tell` hears what is to be sent a second, `count` what was drawn. */
+  constructor(private readonly tell: (rate_hz: number) => void, private readonly count: (drawn_hz: number) => void) {}
 
   /** One more was drawn. */
   frame(now_ms: number): void {
@@ -25,6 +26,7 @@ export class Pace {
     const span_ms = now_ms - this.since_ms;
     if (span_ms < LOOK_MS) return;
     const drawn_hz = (1000 * this.frames) / span_ms;
+    this.count(drawn_hz);
     [this.since_ms, this.frames] = [now_ms, 0];
     const rate_hz = drawn_hz < SLOW_HZ ? SPARED_HZ : drawn_hz > FAST_HZ ? DRAWN_HZ : this.rate_hz;
     if (rate_hz !== this.rate_hz) this.tell((this.rate_hz = rate_hz));

@@ -20,23 +20,23 @@ async fn the_field_is_calibrated_in_the_browser_and_the_stage_shows_what_the_map
     let stage = folder.path().join("pole.toml");
     std::fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/config/field-pole.toml"), &stage).unwrap();
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
-    let mut browser = Browser::open(&format!("http://{}/#calibrate-record", posed.address)).await;
+    let mut browser = Browser::open(&format!("http://{}/#calibrate", posed.address)).await;
     browser.until(LIVE).await;
     let text = |id: &str| format!("document.getElementById('{id}').textContent");
     browser.until(&format!("{}.startsWith('Poses are the tracker')", text("field-map"))).await;
     let sensors = browser.value("document.getElementById('field-sensors').value").await;
     assert_eq!(sensors, "pole-1, pole-2, pole-3, pole-4, pole-5");
-    browser.value("document.getElementById('field-spacing').value = '0.15'").await;
+    browser.fill("#field-spacing", "0.15").await;
     browser.click("field-start").await;
     // It states what to do until there is enough.
-    browser.until("!document.getElementById('field-run').hidden").await;
+    browser.until("document.getElementById('field-run') !== null").await;
     browser.until("document.getElementById('field-hint').className.includes('care')").await;
     browser.until("document.getElementById('field-cells').value > 0.5").await;
     browser.until("document.getElementById('field-hint').className.includes('good')").await;
     assert_eq!(browser.value("document.getElementById('field-directions').value").await, 1.0);
     browser.picture("calibration").await;
     browser.click("field-finish").await;
-    browser.until("!document.getElementById('field-outcome').hidden").await;
+    browser.until("document.getElementById('field-outcome') !== null").await;
     assert_eq!(browser.value("document.getElementById('field-verdict').className").await, "good");
     let figure = async |browser: &mut Browser, row: usize| {
         let cells = browser.row("field-figures", row).await;
@@ -48,21 +48,20 @@ async fn the_field_is_calibrated_in_the_browser_and_the_stage_shows_what_the_map
     browser.click("field-accept").await;
     browser.until(&format!("{}.startsWith('Map 1 is in use')", text("field-map"))).await;
     browser.until("document.getElementById('field-accept').disabled").await;
-    browser.click("tab-stage-view").await;
+    browser.click("tab-watch").await;
     browser.until(&format!("{}.includes('corrected by the map')", text("summary"))).await;
     browser.until(&format!("/^arrows [0-9]+ times/.test({})", text("field-arrows"))).await;
     // A slice of it, moved by hand.
-    browser.value("document.getElementById('slice-axis').previousElementSibling.click()").await;
-    let cut = "{ const place = document.getElementById('slice-place'); place.value = 0; \
-        place.dispatchEvent(new Event('input')); }";
+    browser.click("layer-slice").await;
+    browser.until("document.getElementById('slice') !== null").await;
     let middle = browser.value(&text("slice")).await;
-    browser.value(cut).await;
+    browser.fill("#slice-place", "0").await;
     let edge = browser.value(&text("slice")).await;
     assert!(middle != edge && edge.as_str().unwrap().ends_with(" mm"), "{middle} {edge}");
-    browser.value(&cut.replace("value = 0", "value = 0.5")).await;
+    browser.fill("#slice-place", "0.5").await;
     browser.until(PAINTED).await;
     browser.picture("field").await;
-    browser.click("tab-calibrate-record").await;
+    browser.click("tab-calibrate").await;
     browser.click("field-rollback").await;
     browser.until(&format!("{}.startsWith('Poses are the tracker')", text("field-map"))).await;
     done(browser, posed).await;
@@ -99,7 +98,7 @@ fn strapped(folder: &Path, activity: &str, mounted: &[(&str, &str)]) -> std::pat
 }
 
 /// The button that begins a calibration of the body, and what it prompts.
-pub(super) const CALIBRATE: [&str; 2] = ["calibrate", "prompt"];
+pub(super) const CALIBRATE: [&str; 2] = ["calibrate-body", "prompt"];
 
 /// Begins what guides somebody, sees one of its steps, and waits for its end. Asked to begin again, as happens where a busy
 /// machine's records have gaps, somebody does.
@@ -131,9 +130,9 @@ async fn carried_out(browser: &mut Browser, [button, prompt]: [&str; 2], step: &
 /// The page of a stage whose body is to be calibrated.
 async fn calibrating(stage: &Path, how: &str) -> (Posed, Browser) {
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
-    let mut browser = Browser::open(&format!("http://{}/#calibrate-record", posed.address)).await;
+    let mut browser = Browser::open(&format!("http://{}/#calibrate", posed.address)).await;
     browser.until("document.getElementById('problems').textContent.includes('calibrate the body')").await;
-    browser.value(&format!("document.getElementById('calibrate-how').value = '{how}'")).await;
+    browser.fill("#calibrate-how", how).await;
     (posed, browser)
 }
 
@@ -203,7 +202,7 @@ async fn the_stage_is_aligned_in_the_browser() {
     let ports = wand::STAGE.replace("/dev/none2", "auto").replace("/dev/none", "auto");
     std::fs::write(&stage, ports + TURNED).unwrap();
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
-    let mut browser = Browser::open(&format!("http://{}/#calibrate-record", posed.address)).await;
+    let mut browser = Browser::open(&format!("http://{}/#calibrate", posed.address)).await;
     browser.until(LIVE).await;
     // Tilted by ten degrees about y, and by nothing about x; the magnetometer decides on the heading.
     let right = |keys: &str| {
@@ -266,7 +265,7 @@ async fn an_imu_is_calibrated_in_the_browser_and_its_file_kept() {
     let stage = folder.path().join("table.toml");
     std::fs::write(&stage, TABLE).unwrap();
     let posed = Posed::demo_that_keeps(&stage);
-    let mut browser = Browser::open(&format!("http://{}/#calibrate-record", posed.address)).await;
+    let mut browser = Browser::open(&format!("http://{}/#calibrate", posed.address)).await;
     browser.until(LIVE).await;
     browser.click("unit-calibrate").await;
     let text = |id: &str| format!("document.getElementById('{id}').textContent");
@@ -334,17 +333,17 @@ async fn a_chain_is_calibrated_in_the_browser_and_its_hinge_drawn() {
     write_links(&folder.path().join("links.csv"));
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
     // Whoever presses before the page is connected is heard.
-    let at_once = "const press = () => document.getElementById('calibrate').click(); \
+    let at_once = "const press = () => document.getElementById('calibrate-body').click(); \
         if (self === top) addEventListener('DOMContentLoaded', press)";
     let mut browser =
-        Browser::open_with(&format!("http://{}/#calibrate-record", posed.address), Some(at_once)).await;
+        Browser::open_with(&format!("http://{}/#calibrate", posed.address), Some(at_once)).await;
     browser.until("/^[12] of 2/.test(document.getElementById('prompt').textContent)").await;
     let (step, end) = ("2 of 2: Bend every hinge", "axes of the chain are known");
     if !carried_out(&mut browser, CALIBRATE, step, end).await {
         guided(&mut browser, CALIBRATE, step, end).await;
     }
     assert_eq!(browser.row("mounting", 0).await[0], "knee");
-    browser.click("tab-analysis").await;
+    browser.click("tab-analyse").await;
     browser.until("document.getElementById('joint-choice').value === 'knee'").await;
     browser.until("document.querySelectorAll('.joint canvas').length === 1").await;
     browser.until("document.getElementById('problems').hidden").await;

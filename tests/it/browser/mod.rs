@@ -4,6 +4,7 @@
 //! picture in `docs/pictures/`.
 
 pub(crate) mod calibration;
+mod console;
 mod people;
 mod report;
 mod trainer;
@@ -28,7 +29,7 @@ const LIVE: &str =
     "document.getElementById('link').textContent === 'live' && !document.body.classList.contains('stale')";
 
 /// The 3-D picture is more than one colour.
-const PAINTED: &str = "(() => { const from = document.querySelector('#stage-view canvas'); \
+const PAINTED: &str = "(() => { const from = document.querySelector('#watch canvas'); \
     const to = document.createElement('canvas'); [to.width, to.height] = [64, 64]; \
     const draw = to.getContext('2d'); draw.drawImage(from, 0, 0, 64, 64); \
     return new Set(new Uint32Array(draw.getImageData(0, 0, 64, 64).data.buffer)).size > 8; })()";
@@ -43,7 +44,7 @@ async fn a_token_does_not_stay_in_the_address() {
     let stage =
         two_devices(folder.path(), &format!("[[server.token]]\nsecret = \"{token}\"\nrole = \"watch\"\n"));
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
-    for address in [format!("?token={token}#health"), format!("#token={token}")] {
+    for address in [format!("?token={token}#check"), format!("#token={token}")] {
         let mut browser = Browser::open(&format!("http://{}/{address}", posed.address)).await;
         browser.until(LIVE).await;
         assert_eq!(browser.value("location.href.includes('token')").await, false);
@@ -59,7 +60,7 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
         return;
     }
     let posed = Posed::start(["demo"]);
-    let mut browser = Browser::open(&format!("http://{}/#health", posed.address)).await;
+    let mut browser = Browser::open(&format!("http://{}/#check", posed.address)).await;
     browser.until(LIVE).await;
     // Three magnetic sensors, ten IMUs; positions change.
     let before = browser.row("sensors", 2).await;
@@ -88,7 +89,7 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
         let [rate_hz, age_ms] = [2, 3].map(|cell| sensor[cell].parse::<f64>().unwrap());
         assert!(rate_hz > 0.0 && age_ms >= 0.0, "{sensor:?}");
     }
-    browser.click("tab-stage-view").await;
+    browser.click("tab-watch").await;
     browser
         .until("document.getElementById('summary').textContent === '13 of 13 are good, corrected by the map'")
         .await;
@@ -98,10 +99,10 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
     browser.until(PAINTED).await;
     browser.picture("stage").await;
     // The therapist's picture, and the angles behind it.
-    browser.click("tab-trainer").await;
-    browser.until(&PAINTED.replace("#stage-view", "#avatar")).await;
+    browser.click("tab-coach").await;
+    browser.until(&PAINTED.replace("#watch", "#avatar")).await;
     browser.picture("trainer").await;
-    browser.click("tab-analysis").await;
+    browser.click("tab-analyse").await;
     browser.until("document.getElementById('joint-choice').options.length === 9").await;
     browser.until("document.querySelectorAll('.joint canvas').length === 1").await;
     // What the person does has a name, if only so it seems.
@@ -112,9 +113,9 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
     browser.until("document.querySelectorAll('#fault-map .cell').length === 441").await;
     browser.until("document.querySelectorAll('#fault-map .cell.clean').length > 20").await;
     browser.until("document.querySelectorAll('#fault-map .winner').length === 1").await;
-    browser.value("document.getElementById('sensor-choice').value = 'wand'").await;
+    browser.fill("#sensor-choice", "wand").await;
     browser.until("document.querySelectorAll('#change-curve:not([hidden]) canvas').length === 1").await;
-    browser.click("tab-stage-view").await;
+    browser.click("tab-watch").await;
     posed.signal("STOP");
     browser.until(DATA_OLD).await;
     posed.signal("CONT");
@@ -144,22 +145,19 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     let mut browser = Browser::open(&format!("http://{}/", posed.address)).await;
     browser.until(LIVE).await;
     // One view at a time takes room.
-    for view in
-        ["trainer", "patient", "sessions", "health", "calibrate-record", "analysis", "replay", "stage-view"]
-    {
+    for view in console::VIEWS.into_iter().rev() {
         browser.click(&format!("tab-{view}")).await;
         let shown =
             "[...document.querySelectorAll('[role=tabpanel]')].filter((each) => each.offsetHeight > 0)";
         browser.until(&format!("{shown}.map(({{ id }}) => id).join() === '{view}'")).await;
     }
-    browser.click("tab-health").await;
+    browser.click("tab-check").await;
     browser.until("document.getElementById('latency').rows.length >= 1").await;
     browser.picture("health").await;
-    browser.click("tab-calibrate-record").await;
-    browser.value("document.getElementById('record-name').value = 'take'").await;
+    browser.fill("#record-name", "curls").await;
     browser.click("record-start").await;
-    browser.until("document.getElementById('recording').textContent.startsWith('recording take.mcap')").await;
-    browser.click("tab-analysis").await;
+    browser.until("document.getElementById('recording').textContent.startsWith('curls-01.mcap')").await;
+    browser.click("tab-analyse").await;
     browser.until("document.querySelectorAll('.curve canvas').length === 3").await;
     browser.until("document.getElementById('sensor-choice').options.length === 2").await;
     browser.picture("analysis").await;
@@ -168,17 +166,22 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     browser
         .until("document.getElementById('segments-says').textContent.includes('has labels beside it')")
         .await;
-    browser.click("tab-calibrate-record").await;
     browser.click("record-stop").await;
-    browser.until("document.getElementById('jobs').textContent.includes('take.mcap is complete')").await;
-    browser.picture("calibrate-record").await;
+    browser.until("document.getElementById('jobs').textContent.includes('curls-01.mcap is complete')").await;
+    // The next one has the next number, and a page that is opened now knows it too.
+    browser.until("document.getElementById('record-number').value === '2'").await;
+    browser.call("Page.reload", json!({})).await;
+    browser.fill("#record-name", "curls").await;
+    browser.until("document.getElementById('record-number').value === '2'").await;
+    browser.click("tab-calibrate").await;
+    browser.picture("calibrate").await;
     done(browser, posed).await;
 
-    let recording = folder.path().join("recordings/take.mcap");
+    let recording = folder.path().join("recordings/curls-01.mcap");
     let replay = Posed::start(["replay", recording.to_str().unwrap()]);
     let mut browser = Browser::open(&format!("http://{}/#replay", replay.address)).await;
-    browser.until("document.getElementById('recordings').textContent.includes('take.mcap')").await;
-    browser.until("!document.getElementById('scrub').parentElement.parentElement.hidden").await;
+    browser.until("document.getElementById('recordings').textContent.includes('curls-01.mcap')").await;
+    browser.until("document.getElementById('scrub') !== null").await;
     // To the beginning by hand, after it has ended by itself.
     let speed = |words: &str| {
         format!(
@@ -188,7 +191,7 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     browser.value(&speed("as fast as it goes")).await;
     browser.until("document.getElementById('link').textContent === 'the recording ends here'").await;
     let seek = "const scrub = document.getElementById('scrub'); scrub.value = scrub.min; \
-        scrub.dispatchEvent(new Event('change'));";
+        scrub.dispatchEvent(new Event('change', { bubbles: true }));";
     browser.value(&speed("pause")).await;
     browser.value(seek).await;
     browser.until("document.getElementById('link').textContent === 'paused'").await;
@@ -198,10 +201,10 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     browser.picture("replay").await;
     // The recording and a copy of it lie on one another, unless one is shifted.
     browser.until("document.getElementById('compare-channel').options.length > 6").await;
-    browser.value("document.getElementById('compare-channel').value = 'of two_x_m'").await;
+    browser.fill("#compare-channel", "of two_x_m").await;
     browser.click("compare").await;
     browser.until("document.getElementById('compare-verdict').textContent.includes(': 0.0000 apart')").await;
-    browser.value("const shift = document.getElementById('compare-shift'); shift.value = 0.05; shift.dispatchEvent(new Event('input'))").await;
+    browser.fill("#compare-shift", "0.05").await;
     browser
         .until("/: 0\\.[0-9]*[1-9][0-9]* apart/.test(document.getElementById('compare-verdict').textContent)")
         .await;
@@ -216,19 +219,19 @@ async fn a_map_of_faults_is_learnt_and_a_cell_named_in_the_browser() {
     let folder = tempfile::tempdir().unwrap();
     let stage = two_devices(folder.path(), "");
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
-    let mut browser = Browser::open(&format!("http://{}/#health", posed.address)).await;
+    let mut browser = Browser::open(&format!("http://{}/#check", posed.address)).await;
     browser.until(LIVE).await;
-    let learnt = "document.getElementById('fault-map').children.length === 441";
+    let learnt = "document.getElementById('fault-map')?.children.length === 441";
     let shown_s = "parseFloat(document.getElementById('frame').textContent.split(' ')[2])";
     // Three seconds are enough to learn from; a busy machine has too few frames then, and the page says so.
     for enough_s in [4.5, 10.0, 20.0, 40.0] {
-        browser.click("tab-health").await;
+        browser.click("tab-check").await;
         browser.until(&format!("{shown_s} > {enough_s}")).await;
-        browser.click("tab-analysis").await;
+        browser.click("tab-analyse").await;
         if browser.value(learnt).await == true {
             break;
         }
-        browser.until("document.getElementById('fault-map').parentElement.hidden").await;
+        browser.until("document.getElementById('fault-map') === null").await;
         browser.click("faults-train").await;
         let refused = "document.getElementById('faults-learnt').textContent.includes('too few')";
         browser.until(&format!("{learnt} || {refused}")).await;
@@ -238,7 +241,7 @@ async fn a_map_of_faults_is_learnt_and_a_cell_named_in_the_browser() {
     let label = browser.row("fault-labels", 1).await;
     assert_eq!((label[0].as_str(), label.len()), ("of two", 5));
     browser.value("document.getElementById('fault-map').children[0].click()").await;
-    browser.value("document.getElementById('cell-class').value = 'anomalous'").await;
+    browser.fill("#cell-class", "anomalous").await;
     browser.click("name-cell").await;
     browser.until("document.getElementById('fault-map').children[0].classList.contains('anomalous')").await;
     browser.picture("faults").await;

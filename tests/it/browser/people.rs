@@ -49,23 +49,21 @@ async fn one_of_two_people_is_chosen_calibrated_and_exported() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("bert.bvh");
     let daemon = Posed::start(["demo", "--stage", two_posing(folder.path()).to_str().unwrap()]);
-    let mut browser = Browser::open(&format!("http://{}/#calibrate-record", daemon.address)).await;
+    let mut browser = Browser::open(&format!("http://{}/#calibrate", daemon.address)).await;
     browser.until(LIVE).await;
     // The first one, unless the address says otherwise.
     let chosen = "document.getElementById('person-choice').value";
     browser.until(&format!("{chosen} === 'anna' && !document.getElementById('person').hidden")).await;
-    let choose = "{ const list = document.getElementById('person-choice'); list.value = 'bert'; \
-        list.dispatchEvent(new Event('change')); }";
-    browser.value(choose).await;
-    browser.until("location.search === '?person=bert' && location.hash === '#calibrate-record'").await;
+    browser.fill("#person-choice", "bert").await;
+    browser.until("location.search === '?person=bert' && location.hash === '#calibrate'").await;
     browser.until(LIVE).await;
     browser.until(&format!("{chosen} === 'bert'")).await;
-    browser.value("document.getElementById('calibrate-how').value = 'quick'").await;
+    browser.fill("#calibrate-how", "quick").await;
     guided(&mut browser, CALIBRATE, "2 of 2: Raise both arms", "mounting is known").await;
     browser.until("document.getElementById('mounting').rows.length === 4").await;
     assert!(browser.row("mounting", 1).await[1].starts_with("bert-"));
     browser.picture("mounting").await;
-    browser.click("tab-stage-view").await;
+    browser.click("tab-watch").await;
     browser.until("document.getElementById('body-summary').textContent.startsWith('bert: 4 of 10 segments measured')").await;
     // Of her nothing is known yet, and that is said by her name.
     let problems = "document.getElementById('problems').textContent";

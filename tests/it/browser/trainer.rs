@@ -60,29 +60,28 @@ async fn an_exercise_is_taught_and_counted_in_the_browser_and_an_unplugged_devic
         [[simulation.sensor]]\nname = \"of two\"\nbody = \"arm\"\nsegment = \"forearm\"\n";
     let stage = two_devices(folder.path(), &simulation);
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
-    let mut browser = Browser::open(&format!("http://{}/#trainer", posed.address)).await;
+    let mut browser = Browser::open(&format!("http://{}/#coach", posed.address)).await;
     browser.until(LIVE).await;
     let text = |id: &str| format!("document.getElementById('{id}').textContent");
-    browser.value("document.getElementById('teach-name').value = 'curl'").await;
+    browser.fill("#teach-name", "curl").await;
     rests(&posed, 1).await;
     browser.click("teach").await;
-    // The other device goes away meanwhile: named at the top and under Health, with what to check.
-    browser.click("tab-health").await;
+    // The other device goes away meanwhile: named at the top and under Check, with what to check.
+    browser.click("tab-check").await;
     let first =
         "[...document.getElementById('devices').rows[0].cells].map((cell) => cell.textContent).join(' ')";
     browser.until(&format!("/^one .*connecting: .*check the cable/.test({first})")).await;
     browser.until(&format!("/^one .*streaming/.test({first})")).await;
-    browser.click("tab-calibrate-record").await;
     browser.until(&format!("{}.includes('exercise.teach · done')", text("jobs"))).await;
-    browser.click("tab-trainer").await;
+    browser.click("tab-coach").await;
     browser.until("document.querySelectorAll('#exercises input').length === 1").await;
-    browser.value("document.querySelector('#exercises input').checked = true").await;
-    browser.value("document.getElementById('target').value = 3").await;
+    browser.value("document.querySelector('#exercises input:not(:checked)')?.click()").await;
+    browser.fill("#target", "3").await;
     // Who does as was taught is praised, in the language that is wished, and aloud if that is.
     browser
         .value("speechSynthesis.speak = ({ text, lang }) => { window.spoken = `${lang}: ${text}`; }")
         .await;
-    browser.value("document.getElementById('language').value = 'de'").await;
+    browser.fill("#language", "de").await;
     browser.click("aloud").await;
     browser.click("select").await;
     browser.until("document.querySelectorAll('.bars .done').length === 3").await;
@@ -91,14 +90,14 @@ async fn an_exercise_is_taught_and_counted_in_the_browser_and_an_unplugged_devic
         .await;
     browser.until(&format!("/^[0-9]+ von 100: Ausmaß [0-9]+, Tempo/.test({})", text("score"))).await;
     // A session by a plan, from its making to its report, without a hand on it between.
-    browser.click("tab-sessions").await;
-    browser.value("document.getElementById('plan-name').value = 'week 1'").await;
-    browser.value("document.querySelector('.step-exercise').value = 'curl'").await;
-    browser.value("document.querySelectorAll('#plan-steps input')[1].value = 1").await;
-    browser.value("document.querySelectorAll('#plan-steps input')[2].value = 2").await;
+    browser.click("tab-plan").await;
+    browser.fill("#plan-name", "week 1").await;
+    browser.fill(".step-exercise", "curl").await;
+    browser.fill("#plan-steps input[aria-label='sets']", "1").await;
+    browser.fill("#plan-steps input[aria-label='repetitions']", "2").await;
     browser.click("plan-save").await;
     browser.until("document.getElementById('session-plan').value === 'week 1'").await;
-    browser.value("document.getElementById('session-person').value = 'P-17'").await;
+    browser.fill("#session-person", "P-17").await;
     browser.click("session-begin").await;
     browser.until(&format!("/^P-17 trains .*step 1 of 1: curl/.test({})", text("session-now"))).await;
     browser.until("/P-17.*week 1 *1 *2 /.test([...(document.getElementById('session-list').rows[0]?.cells ?? [])].map((cell) => cell.textContent).join(' '))").await;
@@ -112,11 +111,11 @@ async fn an_exercise_is_taught_and_counted_in_the_browser_and_an_unplugged_devic
     browser.until(&format!("{} === 'Session 1 of P-17'", text("sets-title"))).await;
     browser.value("document.querySelector('#session-sets td:last-child button:not(.quiet)').click()").await;
     browser.until(&format!("/^Repetition 1 of set 1, [0-9.]+ s/.test({})", text("repetition-summary"))).await;
-    browser.value("document.querySelector('#session-sets input').value = 3").await;
+    browser.fill("#session-sets input", "3").await;
     browser.value("document.querySelector('#session-sets form button').click()").await;
     browser.until(&format!("{}.includes('put right')", text("session-sets"))).await;
     browser.until("document.querySelector('#session-sets input').value === '3'").await;
-    browser.click("tab-analysis").await;
+    browser.click("tab-analyse").await;
     let counted = "[...document.getElementById('repetitions').rows].map((row) => [...row.cells].map((cell) => \
         cell.textContent)).filter((cells) => cells[1] === 'curl' && cells[4] === 'counted')";
     browser.until(&format!("{counted}.length >= 3")).await;
@@ -140,14 +139,14 @@ async fn the_demonstration_stands_beside_the_person() {
     std::fs::create_dir(folder.path().join("exercises")).unwrap();
     write_curl_of_a_body(&folder.path().join("exercises/curl-001.json"));
     let posed = Posed::demo_that_keeps(&folder.path().join("demo.toml"));
-    let mut browser = Browser::open(&format!("http://{}/#patient", posed.address)).await;
+    let mut browser = Browser::open(&format!("http://{}/#exercise", posed.address)).await;
     browser.until(LIVE).await;
-    let shows = "document.getElementById('patient-figure').dataset.demonstrates";
-    browser.until("document.querySelector('#patient-figure canvas') !== null").await;
+    let shows = "document.getElementById('exercise-figure').dataset.demonstrates";
+    browser.until("document.querySelector('#exercise-figure canvas') !== null").await;
     let mut client = posed.client().await;
     ok(&mut client, json!({"type": "exercise.select", "exercises": ["curl"]})).await;
     browser.until(&format!("{shows} === 'curl'")).await;
-    browser.until("document.getElementById('patient-title').textContent === 'curl'").await;
+    browser.until("document.getElementById('exercise-title').textContent === 'curl'").await;
     ok(&mut client, json!({"type": "exercise.select", "exercises": []})).await;
     browser.until(&format!("{shows} === ''")).await;
     done(browser, posed).await;

@@ -1,38 +1,30 @@
 // The body in 3-D: simple solids per segment; where a sensor is faulty, a mark of another shape and colour with its reason.
 
 import * as THREE from "three";
-import { mergeGeometries } from "three/examples/jsm/utils/BufferGeometryUtils.js";
 import type { Contacts, SegmentEntry, SegmentState } from "../protocol";
 import { Labels } from "./labels";
 import { quaternion, vector } from "./scene";
-import { spoken } from "../dom";
+import { spoken } from "../format";
+import { token } from "../theme.svelte";
+import { ANKLE, FOREARM, HIP, SHANK, SHOULDER, THIGH, TRUNK, UPPER_ARM, segmentShape } from "./shape";
 
-/** Lengths in parts of the height, as the daemon has them (docs/body.md). */
-const TRUNK = 0.288;
-const SHOULDER = 0.129;
-const HIP = 0.05;
-const UPPER_ARM = 0.186;
-const FOREARM = 0.146;
-const THIGH = 0.245;
-const SHANK = 0.246;
-const ANKLE = 0.039;
-const HEAD = 0.182;
-const HAND = 0.108;
-const TOES = 0.125;
 /** The heel and the ball of the foot, ahead of the ankle. */
 const HEEL = -0.031;
 const BALL = 0.081;
 const USUAL_HEIGHT_M = 1.75;
 
-/** How a segment looks by its state: colour, opacity and whether it is a net all say the same. */
-export const BODY_LOOKS: Record<SegmentState, { words: string; sign: string; colour: number; opacity: number; net: boolean }> = {
-  ok: { words: "segment, measured", sign: "▮", colour: 0x6f94b8, opacity: 1, net: false },
-  inferred: { words: "segment, from its neighbours", sign: "▯", colour: 0x6f94b8, opacity: 0.55, net: false },
-  suspect: { words: "segment, its sensor is faulty", sign: "◆", colour: 0xd98e04, opacity: 0.9, net: false },
-  missing: { words: "segment, not shown by anything", sign: "▒", colour: 0x888888, opacity: 0.35, net: true },
+/** How a segment looks by its state: colour, and whether it is a net, say the same; docs/design.md. */
+export const BODY_LOOKS: Record<SegmentState, { sign: string; colour: number; net: boolean }> = {
+  ok: { sign: "▮", colour: 0x6f94b8, net: false },
+  inferred: { sign: "▯", colour: 0x9aa7b3, net: false },
+  suspect: { sign: "◆", colour: 0xd98e04, net: false },
+  missing: { sign: "▒", colour: 0x888888, net: true },
 };
 /** The mark under a foot that stands. */
-export const STANDS_LOOK = { words: "foot that stands", sign: "●", colour: 0x3a9d5d };
+export const STANDS_LOOK = { sign: "●", colour: 0x3a9d5d };
+/** What is not measured itself is so much greyer than the person. */
+const GREYER = 0.5;
+const CHOSEN = 0x3b9cff;
 const ILL = 0xb3261e;
 const GHOST = new THREE.MeshStandardMaterial({ color: 0x2a9d8f, roughness: 0.8, transparent: true, opacity: 0.4 });
 
@@ -55,62 +47,18 @@ for (const [side, z] of [["r", 1], ["l", -1]] as const) {
   PLACES[`foot_${side}`] = { parent: `shank_${side}`, inParent: [0, -SHANK, 0], inOwn: [0, 0, 0] };
 }
 
-function ball(x: number, y: number, z: number, size: [number, number, number]): THREE.BufferGeometry {
-  return new THREE.SphereGeometry(1, 24, 16).scale(...size).translate(x, y, z);
-}
-
-/** A limb from its joint downwards, with the joint as a ball. */
-function limb(radius: number, length: number): THREE.BufferGeometry[] {
-  const tube = new THREE.CylinderGeometry(radius, radius * 0.75, length, 20).translate(0, -length / 2, 0);
-  return [tube, ball(0, 0, 0, [radius * 1.15, radius * 1.15, radius * 1.15])];
-}
-
-/** Solids of a segment in its axes (x forward, y up, z right), in parts of the height. */
-function solids(name: string): THREE.BufferGeometry[] {
-  switch (name.replace(/_[rl]$/, "")) {
-    case "torso":
-      return [
-        ball(0, 0.055, 0, [0.062, 0.105, 0.112]),
-        ball(0, -0.07, 0, [0.052, 0.08, 0.08]),
-      ];
-    case "head":
-      return [
-        new THREE.CylinderGeometry(0.025, 0.028, 0.06, 16).translate(0, 0.02, 0),
-        ball(0.01, HEAD - 0.066, 0, [0.052, 0.066, 0.046]),
-        // The nose: which way it looks.
-        new THREE.ConeGeometry(0.012, 0.03, 12).rotateZ(-Math.PI / 2).translate(0.072, HEAD - 0.071, 0),
-      ];
-    case "pelvis":
-      return [ball(0, 0.01, 0, [0.056, 0.055, 0.092])];
-    case "upper_arm":
-      return limb(0.026, UPPER_ARM);
-    case "forearm":
-      return limb(0.021, FOREARM);
-    case "hand":
-      // Palm and fingers, and the thumb, which points forward.
-      return [ball(0, -0.46 * HAND, 0, [0.022, 0.46 * HAND, 0.01]), ball(0.022, -0.3 * HAND, 0, [0.008, 0.024, 0.008])];
-    case "thigh":
-      return limb(0.043, THIGH);
-    case "shank":
-      return limb(0.031, SHANK);
-    case "foot": {
-      // Heel, sole and toes; flat below.
-      const [heel, ball_of] = [-0.027, 0.7 * TOES];
-      return [
-        new THREE.BoxGeometry(ball_of - heel, ANKLE - 0.006, 0.046).translate((ball_of + heel) / 2, -ANKLE / 2 - 0.003, 0),
-        new THREE.CylinderGeometry(0.023, 0.023, 0.02, 20).scale((TOES - ball_of) / 0.023, 1, 1).translate(ball_of, -ANKLE + 0.01, 0),
-        ball(0, -0.006, 0, [0.026, 0.02, 0.022]),
-      ];
-    }
-    default:
-      return [];
-  }
-}
-
 interface Part {
   group: THREE.Group;
   mesh: THREE.Mesh;
   state: SegmentState | null;
+}
+
+/** The same material, but that it shines. */
+function shining(material: THREE.Material): THREE.Material {
+  const bright = (material as THREE.MeshStandardMaterial).clone();
+  bright.emissive.set(CHOSEN);
+  bright.emissiveIntensity = 0.55;
+  return bright;
 }
 
 export class BodyFigure {
@@ -128,19 +76,21 @@ export class BodyFigure {
   private said: string[] = [];
   private readonly offset = new THREE.Vector3();
   private painted = "";
+  private chosen: string | null = null;
 
   /** A ghost is see-through, whatever its segments' states. */
   constructor(kind: "person" | "ghost" = "person") {
     const material = (state: SegmentState) => {
       if (kind === "ghost") return GHOST;
-      const { colour, opacity, net } = BODY_LOOKS[state];
-      return new THREE.MeshStandardMaterial({ color: colour, roughness: 0.65, transparent: opacity < 1, opacity, wireframe: net });
+      const { colour, net } = BODY_LOOKS[state];
+      return new THREE.MeshStandardMaterial({ color: colour, roughness: 0.7, wireframe: net, transparent: net, opacity: net ? 0.25 : 1 });
     };
     this.materials = { ok: material("ok"), inferred: material("inferred"), suspect: material("suspect"), missing: material("missing") };
     for (const name of Object.keys(PLACES)) {
       const group = new THREE.Group();
       // One solid, since every one is a call to draw.
-      const mesh = new THREE.Mesh(mergeGeometries(solids(name)), this.materials.missing);
+      const mesh = new THREE.Mesh(segmentShape(name), this.materials.missing);
+      mesh.name = name;
       group.add(mesh);
       this.group.add(group);
       this.parts.set(name, { group, mesh, state: null });
@@ -161,9 +111,35 @@ export class BodyFigure {
   paint(colour: string): void {
     if (colour === this.painted) return;
     this.painted = colour;
-    for (const state of ["ok", "inferred"] as const) {
-      (this.materials[state] as THREE.MeshStandardMaterial).color.set(colour);
+    const [ok, inferred] = [this.materials.ok, this.materials.inferred] as THREE.MeshStandardMaterial[];
+    ok!.color.set(colour);
+    inferred!.color.set(colour).lerp(new THREE.Color(BODY_LOOKS.inferred.colour), GREYER);
+  }
+
+  /** The segment that is hit first, with how far away. */
+  hit(ray: THREE.Raycaster): { segment: string; distance: number } | null {
+    const first = ray.intersectObjects([...this.parts.values()].map(({ mesh }) => mesh), false)[0];
+    return first ? { segment: first.object.name, distance: first.distance } : null;
+  }
+
+  /** Makes one segment shine; null: none. */
+  choose(segment: string | null): void {
+    if (segment === this.chosen) return;
+    for (const name of [this.chosen, segment]) {
+      const part = name === null ? undefined : this.parts.get(name);
+      // Dressed anew in the next update.
+      if (part) part.state = null;
     }
+    this.chosen = segment;
+  }
+
+  /** The middle of a segment, room, m; null where there is none. */
+  middle(segment: string, into: THREE.Vector3): THREE.Vector3 | null {
+    const mesh = this.parts.get(segment)?.mesh;
+    if (!mesh) return null;
+    mesh.geometry.boundingSphere ?? mesh.geometry.computeBoundingSphere();
+    mesh.updateWorldMatrix(true, false);
+    return into.copy(mesh.geometry.boundingSphere!.center).applyMatrix4(mesh.matrixWorld);
   }
 
   update({ segments, contacts }: { segments: readonly Drawn[]; contacts?: Contacts | null }, height_m: number | null): void {
@@ -176,7 +152,7 @@ export class BodyFigure {
       const state = segment ? (segment.state ?? "ok") : "missing";
       if (state !== part.state) {
         part.state = state;
-        part.mesh.material = this.materials[state];
+        part.mesh.material = name === this.chosen ? shining(this.materials[state]) : this.materials[state];
       }
       const above = parent === null ? null : this.parts.get(parent)!.group;
       if (segment?.orientation_wxyz) quaternion(segment.orientation_wxyz, part.group.quaternion);
@@ -233,7 +209,7 @@ export class BodyFigure {
     const said = ill.map(({ name, fault }) => `${name}: ${spoken(fault ?? "faulty")}`);
     if (said.join("\n") !== this.said.join("\n")) {
       this.said = said;
-      this.reasons.write(said, getComputedStyle(document.body).color);
+      this.reasons.write(said, token("ink"));
     }
     while (this.marks.length < ill.length) {
       const mark = new THREE.Mesh(new THREE.OctahedronGeometry(0.06), new THREE.MeshStandardMaterial({ color: ILL, roughness: 0.4 }));

@@ -14,15 +14,13 @@ const COLOURS = {
   dark: { floor: 0x393836, wall: 0x44474b, side: 0x3c3f43, base: 0x2a2a2a },
 };
 
-const dark = matchMedia("(prefers-color-scheme: dark)");
-
 /** A wall is as bright as it is painted: a lamp would make those grey that it does not shine on. */
 function plane(width: number, height: number): THREE.Mesh<THREE.PlaneGeometry, THREE.MeshBasicMaterial> {
   return new THREE.Mesh(new THREE.PlaneGeometry(width, height), new THREE.MeshBasicMaterial());
 }
 
-/** A soft dark disc. */
-function shadow(): THREE.Mesh {
+/** A soft dark disc, where somebody stands. */
+export function shadow(radius_m = SHADOW_M): THREE.Mesh {
   const canvas = document.createElement("canvas");
   canvas.width = canvas.height = 64;
   const context = canvas.getContext("2d");
@@ -34,7 +32,7 @@ function shadow(): THREE.Mesh {
     context.fillRect(0, 0, 64, 64);
   }
   const material = new THREE.MeshBasicMaterial({ map: new THREE.CanvasTexture(canvas), transparent: true, depthWrite: false });
-  return new THREE.Mesh(new THREE.CircleGeometry(SHADOW_M, 32), material);
+  return new THREE.Mesh(new THREE.CircleGeometry(radius_m, 32), material);
 }
 
 export class Room {
@@ -63,8 +61,7 @@ export class Room {
     const lamp = new THREE.DirectionalLight(0xffffff, 1.5);
     lamp.position.set(3, 1.5, 3);
     this.group.add(this.floor, this.shadow, ...this.walls, ...this.bases, lamp, lamp.target);
-    this.paint();
-    dark.addEventListener("change", () => this.paint());
+    this.paint(true);
   }
 
   /** Puts it around who stands at `hips` and looks along `facing`, rad from the room's x. */
@@ -79,8 +76,8 @@ export class Room {
     this.shadow.position.z = 0.004;
   }
 
-  private paint(): void {
-    const { floor, wall, side, base } = dark.matches ? COLOURS.dark : COLOURS.light;
+  paint(isDark: boolean): void {
+    const { floor, wall, side, base } = isDark ? COLOURS.dark : COLOURS.light;
     this.floor.material.color.set(floor);
     this.walls.forEach((mesh, k) => mesh.material.color.set(k === 0 ? wall : side));
     for (const mesh of this.bases) mesh.material.color.set(base);

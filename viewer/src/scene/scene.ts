@@ -26,10 +26,12 @@ export class Scene {
     this.camera.up.set(0, 0, 1);
     this.controls = new OrbitControls(this.camera, this.renderer.domElement);
     this.controls.addEventListener("change", () => (this.moved = true));
-    this.reset();
-    const sun = new THREE.DirectionalLight(0xffffff, 2);
+    const sun = new THREE.DirectionalLight(0xffffff, 1.7);
     sun.position.set(2, -3, 5);
-    this.scene.add(new THREE.HemisphereLight(0xffffff, 0x777788, 1.6), sun);
+    // A little from where somebody looks: what is turned to them is never dark.
+    const lamp = new THREE.DirectionalLight(0xffffff, 0.9);
+    this.camera.add(lamp);
+    this.scene.add(new THREE.HemisphereLight(0xffffff, 0x777788, 1.5), sun, this.camera);
     this.scene.add(ground);
     // Asked in every frame, it would lay the page out in every frame.
     new ResizeObserver(() => (this.fits = false)).observe(this.canvas);
@@ -42,9 +44,16 @@ export class Scene {
     return this.renderer.domElement;
   }
 
-  /** Back to where the camera began; otherwise it stays where it was put. */
-  reset(): void {
-    this.look(new THREE.Vector3(-1.9, -2.0, 1.8), new THREE.Vector3(0.45, -0.05, 0.85));
+  /** Where the camera looks. */
+  get target(): THREE.Vector3 {
+    return this.controls.target;
+  }
+
+  /** Moves camera and where it looks alike. */
+  shift(by: THREE.Vector3): void {
+    this.camera.position.add(by);
+    this.controls.target.add(by);
+    this.controls.update();
   }
 
   /** Puts the camera somewhere. */
@@ -52,6 +61,12 @@ export class Scene {
     this.camera.position.copy(from);
     this.controls.target.copy(at);
     this.controls.update();
+  }
+
+  /** Width by height of where it is drawn; 1 before that is known. */
+  get aspect(): number {
+    const { clientWidth, clientHeight } = this.canvas.parentElement ?? this.canvas;
+    return clientHeight > 0 ? clientWidth / clientHeight : 1;
   }
 
   private fit(): void {
@@ -87,7 +102,7 @@ function drawsInSoftware(context: WebGLRenderingContext | WebGL2RenderingContext
 
 /** A floor to measure by: squares of 25 cm. */
 function grid(): THREE.Object3D {
-  const grid = new THREE.GridHelper(6, 24, 0x888888, 0x888888);
+  const grid = new THREE.GridHelper(8, 32, 0x888888, 0x888888);
   grid.rotation.x = Math.PI / 2;
   grid.material.transparent = true;
   grid.material.opacity = 0.25;

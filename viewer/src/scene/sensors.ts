@@ -5,6 +5,7 @@ import type { SensorEntry, SensorState } from "../protocol";
 import { finish, instanced, segments } from "./buffers";
 import { Labels } from "./labels";
 import { quaternion, vector } from "./scene";
+import { token } from "../theme.svelte";
 import { Trails } from "./trails";
 
 const AXIS_M = 0.07;
@@ -12,11 +13,11 @@ const SIZE_M = 0.022;
 const AXIS_COLOURS = [[0.85, 0.25, 0.2], [0.2, 0.65, 0.3], [0.25, 0.45, 0.95]] as const;
 
 /** Shape and colour say the same, so that neither is needed alone. */
-export const LOOKS: { states: SensorState[]; words: string; sign: string; colour: number; geometry: () => THREE.BufferGeometry }[] = [
-  { states: ["ok"], words: "good", sign: "■", colour: 0x2a78b8, geometry: () => new THREE.BoxGeometry(1, 1, 1) },
-  { states: ["repaired"], words: "repaired", sign: "◆", colour: 0x2a9d8f, geometry: () => new THREE.OctahedronGeometry(0.8) },
-  { states: ["extrapolated"], words: "outside the calibrated field", sign: "▲", colour: 0xd98e04, geometry: () => new THREE.TetrahedronGeometry(0.9) },
-  { states: ["suspect", "late", "stuck", "missing"], words: "unreliable", sign: "●", colour: 0xb3261e, geometry: () => new THREE.SphereGeometry(0.55, 16, 12) },
+export const LOOKS: { states: SensorState[]; look: "good" | "repaired" | "outside" | "unreliable"; sign: string; colour: number; geometry: () => THREE.BufferGeometry }[] = [
+  { states: ["ok"], look: "good", sign: "■", colour: 0x2a78b8, geometry: () => new THREE.BoxGeometry(1, 1, 1) },
+  { states: ["repaired"], look: "repaired", sign: "◆", colour: 0x2a9d8f, geometry: () => new THREE.OctahedronGeometry(0.8) },
+  { states: ["extrapolated"], look: "outside", sign: "▲", colour: 0xd98e04, geometry: () => new THREE.TetrahedronGeometry(0.9) },
+  { states: ["suspect", "late", "stuck", "missing"], look: "unreliable", sign: "●", colour: 0xb3261e, geometry: () => new THREE.SphereGeometry(0.55, 16, 12) },
 ];
 
 export class Sensors {
@@ -25,6 +26,7 @@ export class Sensors {
   readonly trails = new Trails();
   readonly labels = new Labels();
   private names: string[] = [];
+  private entries: SensorEntry[] = [];
   private looks: THREE.InstancedMesh[] = [];
   private bubbles: THREE.InstancedMesh | null = null;
   private axes: THREE.LineSegments | null = null;
@@ -38,8 +40,20 @@ export class Sensors {
     this.group.add(this.sigma, this.trails.group, this.labels.group);
   }
 
+  /** Where a sensor is, room, m; null where nobody knows. */
+  place(name: string, into: THREE.Vector3): THREE.Vector3 | null {
+    const entry = this.entries.find((sensor) => sensor.name === name);
+    return entry?.position_m ? vector(entry.position_m, into) : null;
+  }
+
+  /** Names in the colour of the text, which has changed. */
+  recolour(): void {
+    this.labels.write(this.names, token("ink"));
+  }
+
   update(sensors: SensorEntry[]): void {
     if (sensors.length !== this.names.length || sensors.some(({ name }, i) => name !== this.names[i])) this.rebuild(sensors);
+    this.entries = sensors;
     const counts = this.looks.map(() => 0);
     let bubble = 0;
     const axes = this.axes!.geometry.getAttribute("position") as THREE.BufferAttribute;
@@ -55,8 +69,8 @@ export class Sensors {
       else this.rotation.identity();
       this.labels.put(index, this.position);
       const look = Math.max(0, LOOKS.findIndex(({ states }) => states.includes(state)));
-      this.place(this.looks[look]!, counts[look]!++, SIZE_M);
-      if (sigma_m != null) this.place(this.bubbles!, bubble++, Math.max(2 * sigma_m, 1e-4));
+      this.put(this.looks[look]!, counts[look]!++, SIZE_M);
+      if (sigma_m != null) this.put(this.bubbles!, bubble++, Math.max(2 * sigma_m, 1e-4));
       for (let axis = 0; axis < 3; axis++) {
         this.tip.set(0, 0, 0).setComponent(axis, orientation_wxyz ? AXIS_M : 0).applyQuaternion(this.rotation).add(this.position);
         axes.setXYZ(index * 6 + axis * 2, this.position.x, this.position.y, this.position.z);
@@ -70,7 +84,7 @@ export class Sensors {
     if (this.trails.group.visible) this.trails.upload();
   }
 
-  private place(mesh: THREE.InstancedMesh, index: number, size_m: number): void {
+  private put(mesh: THREE.InstancedMesh, index: number, size_m: number): void {
     this.matrix.compose(this.position, this.rotation, this.scale.setScalar(size_m));
     mesh.setMatrixAt(index, this.matrix);
   }
@@ -92,6 +106,6 @@ export class Sensors {
     const colours = Array.from({ length: count }, () => AXIS_COLOURS.flatMap((colour) => [...colour, ...colour])).flat();
     this.axes.geometry.setAttribute("color", new THREE.Float32BufferAttribute(colours, 3));
     this.group.add(this.axes);
-    this.labels.write(this.names, getComputedStyle(document.body).color);
+    this.labels.write(this.names, token("ink"));
   }
 }

@@ -289,7 +289,7 @@ impl Health {
             let of = if self.names.len() > 1 { format!("{name}: ") } else { String::new() };
             if !body.mounted {
                 let sentence = format!(
-                    "{of}nobody knows how the body's sensors sit: calibrate the body (page: Calibrate & record; request \
+                    "{of}nobody knows how the body's sensors sit: calibrate the body (page: Calibrate; request \
                      `body.calibrate`), or set mounting = \"given\" with `mount_quat_wxyz` for each"
                 );
                 problems.push(problem("body", sentence));

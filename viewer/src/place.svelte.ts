@@ -1,0 +1,24 @@
+// Which view is shown, as the address has it.
+
+/** In the order of the tabs: what somebody does, from seeing that it tracks to what was wrong. */
+export const VIEWS = ["watch", "calibrate", "coach", "exercise", "plan", "analyse", "replay", "check"] as const;
+export type ViewName = (typeof VIEWS)[number];
+
+class Place {
+  view = $state<ViewName>(VIEWS.find((view) => `#${view}` === location.hash) ?? "watch");
+  /** Only these have been made: most pages stay with one. */
+  visited = $state<ViewName[]>([]);
+
+  constructor() {
+    this.visited = [this.view];
+  }
+
+  /** Shows a view, and says so in the address; a page that was opened without one in it keeps the focus at its top. */
+  go(view: ViewName): void {
+    this.view = view;
+    if (!this.visited.includes(view)) this.visited.push(view);
+    history.replaceState(null, "", `#${view}`);
+  }
+}
+
+export const place = new Place();
