@@ -5,7 +5,7 @@ use posed_fusion::body::{BodyFilter, BodyParams, BodySegment, SEGMENTS, Skeleton
 use posed_geometry::wrapped_rad;
 use posed_simulator::body::Activity;
 
-use super::{Case, HEIGHT_M, Mounting, RATE_HZ, SETTLE_S, emit, mounts, record};
+use super::{Case, HEIGHT_M, Mounting, RATE_HZ, SETTLE_S, Sensors, emit, mounts, record};
 
 const ACTIVITIES: [Activity; 6] = [
     Activity::Walking,
@@ -89,7 +89,7 @@ pub(super) fn table(only: Option<&str>) {
     for activity in ACTIVITIES.into_iter().filter(|a| only.is_none_or(|only| format!("{a:?}") == only)) {
         let case = |seed| Case {
             magnetometer: false,
-            everywhere: true,
+            sensors: Sensors::Fifteen,
             activity_s: ACTIVITY_S,
             seed,
             ..Case::new(activity, Mounting::Perfect)

@@ -10,7 +10,7 @@ use posed_fusion::body::{
 use posed_fusion::faults::Cause;
 use posed_simulator::body::{Activity, Build, Mistake, Script, SensorErrors, Wearer, WearerSpec};
 
-use super::{HEIGHT_M, emit, outcomes, recorded};
+use super::{HEIGHT_M, Sensors, emit, outcomes, recorded};
 
 const RATE_HZ: f64 = 50.0;
 const SEEDS: u64 = 6;
@@ -117,13 +117,14 @@ fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool
         // Seven seconds into the round the second pose is held.
         (0..(7.0 * RATE_HZ) as usize).for_each(|_| _ = wearer.step());
     }
-    let mut guide = Guide::new([true; SEGMENTS], magnetometer, how);
+    let mut guide =
+        Guide::new(BodySegment::ALL.map(|segment| Sensors::Fifteen.has(segment)), magnetometer, how);
     let mut warned = false;
     let mut gripped = false;
     for step in 0..(LONGEST_S * RATE_HZ) as usize {
         let t_s = step as f64 / RATE_HZ;
         let (samples, _) = wearer.step();
-        let mut samples = recorded(&samples, true);
+        let mut samples = recorded(&samples, Sensors::Fifteen);
         for (segment, sample) in BodySegment::ALL.into_iter().zip(&mut samples) {
             let off = match deceit {
                 Deceit::Off(segments) => segments.contains(&segment) && t_s < 30.0,
@@ -159,12 +160,15 @@ fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool
     };
     // By the segments, and from which the sensor that counts there is taken.
     let worst_deg = |mounts: &Mounts, places: &[BodySegment; SEGMENTS]| {
-        BodySegment::ALL.into_iter().fold(0.0, |worst: f64, segment| {
-            let worn = place_of(deceit, places[segment.index()]);
-            let Some(mount) = mounts[segment.index()].filter(|_| worn == segment) else { return 180.0 };
-            let truth = wearer.mounting(segment.index()).0 * grip_of(segment).inverse();
-            worst.max(mount.q_segment_sensor.angle_to(&truth).to_degrees())
-        })
+        BodySegment::ALL.into_iter().filter(|segment| Sensors::Fifteen.has(*segment)).fold(
+            0.0,
+            |worst: f64, segment| {
+                let worn = place_of(deceit, places[segment.index()]);
+                let Some(mount) = mounts[segment.index()].filter(|_| worn == segment) else { return 180.0 };
+                let truth = wearer.mounting(segment.index()).0 * grip_of(segment).inverse();
+                worst.max(mount.q_segment_sensor.angle_to(&truth).to_degrees())
+            },
+        )
     };
     let off_deg = worst_deg(&mounts, &places);
     if off_deg > WRONG_DEG {
@@ -173,7 +177,7 @@ fn run(deceit: Deceit, how: Thoroughness, activity: Activity, magnetometer: bool
         let mut filter = BodyFilter::new(&Skeleton::from_height(HEIGHT_M), &mounts, &BodyParams::default());
         let mut named = false;
         for _ in 0..(WALKS_S * RATE_HZ) as usize {
-            let mut samples = recorded(&walker.step().0, true);
+            let mut samples = recorded(&walker.step().0, Sensors::Fifteen);
             exchange(deceit, &mut samples);
             let samples = places.map(|taken| samples[taken.index()]);
             let faults = filter.push(&samples, 1.0 / RATE_HZ).faults;

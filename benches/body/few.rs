@@ -3,7 +3,7 @@
 use posed_fusion::body::{BodyFilter, BodyParams, BodySegment, SEGMENTS, Skeleton};
 use posed_simulator::body::Activity;
 
-use super::{Case, HEIGHT_M, Mounting, RATE_HZ, SETTLE_S, emit, mounts, record};
+use super::{Case, HEIGHT_M, Mounting, RATE_HZ, SETTLE_S, Sensors, emit, mounts, record};
 
 use BodySegment as B;
 
@@ -52,7 +52,8 @@ pub(super) fn few() {
     emit("|---|---|---|---|---|---|---|---|");
     let skeleton = Skeleton::from_height(HEIGHT_M);
     for activity in ACTIVITIES {
-        let case = Case { activity_s: SHOWN_S, everywhere: true, ..Case::new(activity, Mounting::Perfect) };
+        let case =
+            Case { activity_s: SHOWN_S, sensors: Sensors::Fifteen, ..Case::new(activity, Mounting::Perfect) };
         let run = record(&case);
         let Ok(all) = mounts(&case, &run, &skeleton) else { continue };
         let begin_s = run.script.activity_s() + SETTLE_S;

@@ -5,6 +5,7 @@ mod deceit;
 mod few;
 mod learnt;
 mod people;
+mod shoulders;
 mod travel;
 
 use nalgebra::{UnitQuaternion, Vector3};
@@ -38,6 +39,28 @@ enum Mounting {
     Walked,
 }
 
+/// Who wears how many.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Sensors {
+    /// Trunk and limbs.
+    Ten,
+    /// Head, hands and feet, too.
+    Fifteen,
+    /// And the shoulders.
+    Seventeen,
+}
+
+impl Sensors {
+    fn has(self, segment: BodySegment) -> bool {
+        match self {
+            Self::Ten => !BodySegment::LEAVES.contains(&segment),
+            Self::Fifteen => !BodySegment::SHOULDERS.contains(&segment),
+            Self::Seventeen => true,
+        }
+    }
+}
+
+#[derive(Clone)]
 struct Case {
     activity: Activity,
     errors: SensorErrors,
@@ -49,8 +72,10 @@ struct Case {
     seed: u64,
     /// By the published filter of limbs.
     euler: bool,
-    /// Whether head, hands and feet wear sensors, too.
-    everywhere: bool,
+    /// Which segments wear sensors.
+    sensors: Sensors,
+    /// Whether collar bones and shoulder blades move.
+    girdle: bool,
     /// How much longer thighs and upper arms are than the proportions say.
     longer: f64,
     /// And shanks.
@@ -69,7 +94,8 @@ impl Case {
             activity_s: 60.0,
             seed: 1,
             euler: false,
-            everywhere: false,
+            sensors: Sensors::Ten,
+            girdle: false,
             longer: 1.0,
             longer_shanks: 1.0,
         }
@@ -108,7 +134,7 @@ struct Run {
 
 fn record(case: &Case) -> Run {
     let script = Script { activity: case.activity, calibration: true, facing: 0.6, mistake: None };
-    let mut build = Build::of_height(HEIGHT_M);
+    let mut build = Build { girdle: case.girdle, ..Build::of_height(HEIGHT_M) };
     build.thigh_m *= case.longer;
     build.upper_arm_m *= case.longer;
     build.shank_m *= case.longer_shanks;
@@ -127,7 +153,7 @@ fn record(case: &Case) -> Run {
     let frames = ((script.activity_s() + case.activity_s) * RATE_HZ) as usize;
     for _ in 0..frames {
         let (samples, at) = wearer.step();
-        recording.push((at.t_s, recorded(&samples, case.everywhere)));
+        recording.push((at.t_s, recorded(&samples, case.sensors)));
         // Without magnetometers the body's own facing is the room's x.
         let rotation_rad = if case.magnetometer { 0.0 } else { -script.facing };
         let room = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), rotation_rad);
@@ -142,11 +168,11 @@ fn record(case: &Case) -> Run {
     Run { recording, truth, origins_m, wearer, script, build, blocks }
 }
 
-/// What the filters are given of a frame: everybody wears ten sensors, or fifteen.
-fn recorded(samples: &[Sample; SEGMENTS], everywhere: bool) -> BodySamples {
+/// What the filters are given of a frame.
+fn recorded(samples: &[Sample; SEGMENTS], worn: Sensors) -> BodySamples {
     BodySegment::ALL.map(|segment| {
         let sample = samples[segment.index()];
-        (everywhere || !BodySegment::EXTREMITIES.contains(&segment)).then_some(ImuSample {
+        worn.has(segment).then_some(ImuSample {
             gyro_rad_s: sample.gyro_rad_s,
             accel_m_s2: sample.accel_m_s2,
             mag: sample.mag_ut,
@@ -176,7 +202,7 @@ fn mounts(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<SensorM
         return Ok(found.mounts);
     }
     Ok(BodySegment::ALL.map(|segment| {
-        if !case.everywhere && BodySegment::EXTREMITIES.contains(&segment) {
+        if !case.sensors.has(segment) {
             return None;
         }
         let (mount, offset_m) = run.wearer.mounting(segment.index());
@@ -357,6 +383,9 @@ fn main() {
     if only.as_ref().is_none_or(|only| "ends".contains(only.as_str())) {
         ends();
     }
+    if only.as_ref().is_none_or(|only| "shoulders".contains(only.as_str())) {
+        shoulders::table();
+    }
     if only.as_ref().is_some_and(|only| "nees".contains(only.as_str())) {
         consistency();
     }
@@ -403,7 +432,7 @@ fn ends() {
             ("no field", Case { magnetometer: false, ..Case::new(activity, Mounting::Perfect) }),
         ];
         for (name, case) in cases {
-            let Ok(f) = solve(&Case { everywhere: true, ..case }) else { continue };
+            let Ok(f) = solve(&Case { sensors: Sensors::Fifteen, ..case }) else { continue };
             let [neck, wrist, ankle] = f.ends;
             emit(&format!(
                 "| {name} | {activity:?} | {neck:.2} | {wrist:.2} | {ankle:.2} | {:.2} | {:.2} | {:.2} ({}) |",
@@ -432,11 +461,11 @@ fn consistency() {
     }
 }
 
-/// What one epoch of ten IMUs costs the processor, and of fifteen.
+/// What one epoch of ten IMUs costs the processor, of fifteen and of seventeen.
 fn speed() {
     for mounting in [Mounting::Perfect, Mounting::Calibrated] {
-        for (count, everywhere) in [(10, false), (15, true)] {
-            epoch(count, &Case { activity_s: 30.0, everywhere, ..Case::new(Activity::Walking, mounting) });
+        for (count, sensors) in [(10, Sensors::Ten), (15, Sensors::Fifteen), (17, Sensors::Seventeen)] {
+            epoch(count, &Case { activity_s: 30.0, sensors, ..Case::new(Activity::Walking, mounting) });
         }
     }
 }

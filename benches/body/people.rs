@@ -18,7 +18,7 @@ use posed_geometry::so3;
 use posed_simulator::body::take::{Recording, Take};
 use posed_simulator::body::{Activity, Build, Script, SensorErrors, Wearer, WearerSpec};
 
-use super::{HEIGHT_M, RATE_HZ, emit, oriented, recorded};
+use super::{HEIGHT_M, RATE_HZ, Sensors, emit, oriented, recorded};
 
 /// How far from straight people stand, rad.
 const CLUMSY_RAD: f64 = 0.03;
@@ -171,12 +171,13 @@ fn calibrated(build: Build, seed: u64) -> Result<Suit, String> {
         clumsiness_rad: CLUMSY_RAD,
         seed,
     });
-    let mut guide = Guide::new([true; SEGMENTS], false, Thoroughness::Full);
+    let mut guide =
+        Guide::new(BodySegment::ALL.map(|segment| Sensors::Fifteen.has(segment)), false, Thoroughness::Full);
     let (mut calibration, mut truth) = (Vec::new(), Vec::new());
     let mut pause = 0.0;
     while pause < PAUSE_S {
         let (samples, at) = wearer.step();
-        let samples = recorded(&samples, true);
+        let samples = recorded(&samples, Sensors::Fifteen);
         guide.push(at.t_s, &samples);
         calibration.push((at.t_s, samples));
         truth.push(oriented(&at.body, room()));
@@ -221,7 +222,7 @@ fn solve(
     let mut last: Option<[Vector3<f64>; 2]> = None;
     for epoch in 0..(minutes * 60.0 * RATE_HZ) as usize {
         let (samples, at) = suit.wearer.step();
-        let samples = recorded(&samples, true);
+        let samples = recorded(&samples, Sensors::Fifteen);
         let truth = oriented(&at.body, room());
         if let Some(table) = &mut table {
             table.row(&samples, &truth);
@@ -416,7 +417,7 @@ struct Table {
 impl Table {
     fn new(build: &Build) -> Self {
         let mut text = format!("# thigh_m = {}, upper_arm_m = {}\nt_s", build.thigh_m, build.upper_arm_m);
-        for name in BodySegment::ALL.map(BodySegment::name) {
+        for name in BodySegment::ALL.into_iter().filter(|s| Sensors::Fifteen.has(*s)).map(BodySegment::name) {
             for column in ["gx", "gy", "gz", "ax", "ay", "az", "qw", "qx", "qy", "qz"] {
                 _ = write!(text, ",{name}_{column}");
             }

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use posed_fusion::body::{BodyFilter, BodyParams, BodySegment, Skeleton};
 use posed_simulator::body::{Activity, SensorErrors};
 
-use super::{Case, HEIGHT_M, Mounting, RATE_HZ, emit, mounts, record};
+use super::{Case, HEIGHT_M, Mounting, RATE_HZ, Sensors, emit, mounts, record};
 
 const SHANKS: [BodySegment; 2] = [BodySegment::ShankR, BodySegment::ShankL];
 /// A way goes straight on for so long: shorter, and what a step shakes counts as way.
@@ -124,15 +124,20 @@ pub(super) fn table() {
             ("skin", Case { errors: skin, ..case(Mounting::Calibrated) }),
             ("3 degrees wrong", case(Mounting::Wrong(3.0))),
             ("no field, calibrated", Case { magnetometer: false, ..case(Mounting::Calibrated) }),
-            ("sensors on the feet", Case { everywhere: true, ..case(Mounting::Calibrated) }),
+            ("sensors on the feet", Case { sensors: Sensors::Fifteen, ..case(Mounting::Calibrated) }),
             (
                 "sensors on the feet, no field, perfect",
-                Case { everywhere: true, magnetometer: false, ..case(Mounting::Perfect) },
+                Case { sensors: Sensors::Fifteen, magnetometer: false, ..case(Mounting::Perfect) },
             ),
             ("legs 4 % longer", Case { longer: 1.04, longer_shanks: 1.04, ..case(Mounting::Calibrated) }),
             (
                 "legs 4 % longer, sensors on the feet",
-                Case { longer: 1.04, longer_shanks: 1.04, everywhere: true, ..case(Mounting::Calibrated) },
+                Case {
+                    longer: 1.04,
+                    longer_shanks: 1.04,
+                    sensors: Sensors::Fifteen,
+                    ..case(Mounting::Calibrated)
+                },
             ),
         ] {
             let found: Result<Vec<Figures>, String> =

@@ -74,7 +74,7 @@ struct Joints {
 
 fn joints(body: &Body, skeleton: &Skeleton) -> Joints {
     let known: [_; SEGMENTS] =
-        std::array::from_fn(|k| body.segments[k].orientation_wxyz.and_then(orientation_from_wxyz));
+        std::array::from_fn(|k| body.segments.get(k)?.orientation_wxyz.and_then(orientation_from_wxyz));
     let all = completed(&known);
     let pelvis_m = body.segments[BodySegment::Pelvis.index()].position_m.unwrap().into();
     Joints {

@@ -153,7 +153,10 @@ fn a_mounting_names_the_body_that_it_is_of() {
         offset_m: [0.0; 3],
         sigma_deg: None,
     };
-    let sensors = |who: &str| BodySegment::ALL.map(|segment| mounted(&format!("{who}-{}", segment.name())));
+    let worn = &BodySegment::ALL[..BodySegment::BEFORE_SHOULDERS];
+    let sensors = |who: &str| -> Vec<_> {
+        worn.iter().map(|segment| mounted(&format!("{who}-{}", segment.name()))).collect()
+    };
     let mut push = |body: Option<&str>, who: &str| {
         let model = Model::Mounting { body: body.map(str::to_owned), sensors: sensors(who).into() };
         let before = pipeline.status().models_refused;

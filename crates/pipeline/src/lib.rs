@@ -501,9 +501,10 @@ impl Pipeline {
                 .iter()
                 .zip(worn_by)
                 .map(|(sensor, worn_by)| (worn_by.is_none() || *worn_by == body).then_some(sensor.name()));
-            let human = body.is_some_and(|body| self.bodies[usize::from(body)].human.is_some());
+            let human = body.and_then(|body| self.bodies[usize::from(body)].human.as_ref());
+            let segments = human.map_or(&[][..], |human| human.segments());
             // A person of whom too little is seen is not named.
-            made.extend(Naming::new(model.clone(), names, body, human));
+            made.extend(Naming::new(model.clone(), names, body, segments));
         }
         if made.is_empty() {
             self.models_refused += 1;

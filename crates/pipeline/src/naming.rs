@@ -63,7 +63,7 @@ struct Open {
 }
 
 impl Naming {
-    /// A model at work on sensors of these names, those that somebody else wears being left out, and on the segments of a human body where there is one.
+    /// A model at work on sensors of these names, those that somebody else wears being left out, and on the segments that messages have of its human body: none where there is none.
     ///
     /// # Errors
     /// One sentence: most of its joints are no sensors here.
@@ -71,13 +71,13 @@ impl Naming {
         model: Model,
         names: impl Iterator<Item = Option<&'a str>> + Clone,
         body: Option<BodyIndex>,
-        human: bool,
+        segments: &[BodySegment],
     ) -> Result<Self, String> {
-        let segments = BodySegment::ALL.map(BodySegment::name).into_iter().filter(|_| human);
-        let _ = model.columns(names.clone().flatten().chain(segments))?;
+        let of_body = segments.iter().map(|segment| segment.name());
+        let _ = model.columns(names.clone().flatten().chain(of_body))?;
         let joint = |name: &String| Joint {
             sensor: names.clone().position(|known| known == Some(name)).map(|index| index as SensorIndex),
-            segment: BodySegment::named(name).map(BodySegment::index).filter(|_| human),
+            segment: segments.iter().position(|segment| segment.name() == name),
         };
         let joints: Vec<Joint> = model.card.preparation.joints.iter().map(joint).collect();
         Ok(Self {

@@ -224,11 +224,12 @@ fn a_network_of_other_sensors_is_refused() {
 /// movement.
 #[test]
 fn where_a_body_is_put_is_no_movement() {
-    use posed_fusion::body::{ANGLES, AngleSpread, Heading, SEGMENTS, Skeleton, upright};
+    use posed_fusion::body::{ANGLES, AngleSpread, BodySegment, Heading, SEGMENTS, Skeleton, upright};
     use posed_stage::output::{Body, PositionSource, SegmentEstimate};
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/demo-moves.safetensors");
     let mut naming =
-        naming::Naming::new(model(&std::fs::read(path).unwrap()), [].into_iter(), Some(0), true).unwrap();
+        naming::Naming::new(model(&std::fs::read(path).unwrap()), [].into_iter(), Some(0), &BodySegment::ALL)
+            .unwrap();
     let skeleton = Skeleton::from_height(1.75);
     let standing = [upright(); SEGMENTS];
     let mut labels = Vec::new();
@@ -274,7 +275,7 @@ fn where_a_body_is_put_is_no_movement() {
 fn segments_are_announced_and_decided() {
     use posed_stage::output::{MotionSegment, PoseEstimate, SegmentEvent, SensorState};
     let mut naming =
-        naming::Naming::new(model(&random_model(["a", "b"])), ["a", "b"].map(Some).into_iter(), None, false)
+        naming::Naming::new(model(&random_model(["a", "b"])), ["a", "b"].map(Some).into_iter(), None, &[])
             .unwrap();
     let mut estimate = Estimate { sensors: vec![SensorEstimate::default(); 2], ..Estimate::default() };
     let mut events: Vec<(f64, f64, MotionSegment)> = Vec::new();
@@ -312,7 +313,7 @@ fn segments_are_announced_and_decided() {
                 model(&random_model(["a", "b"])),
                 ["a", "b"].map(Some).into_iter(),
                 None,
-                false,
+                &[],
             )
             .unwrap();
             posed_state::restore(&mut naming, &bytes).unwrap();
@@ -336,7 +337,7 @@ fn segments_are_announced_and_decided() {
     }
     // A model that takes its place leaves nothing open, and goes on counting.
     let mut next =
-        naming::Naming::new(model(&random_model(["a", "b"])), ["a", "b"].map(Some).into_iter(), None, false)
+        naming::Naming::new(model(&random_model(["a", "b"])), ["a", "b"].map(Some).into_iter(), None, &[])
             .unwrap();
     next.follow(&mut naming, estimate.t_valid, &mut |output| {
         if let Output::Outcome(Outcome { what: OutcomeKind::MotionSegment(segment), .. }) = output {

@@ -5,7 +5,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 /// Names of the segments of the `human` skeleton, in the order of [`posed_fusion::body::BodySegment::ALL`]; a sensor with such a
 /// name, or such a `segment`, sits there.
-pub const SEGMENTS: [&str; 15] = [
+pub const SEGMENTS: [&str; 17] = [
     "torso",
     "pelvis",
     "upper_arm_r",
@@ -21,6 +21,8 @@ pub const SEGMENTS: [&str; 15] = [
     "foot_r",
     "hand_l",
     "foot_l",
+    "shoulder_r",
+    "shoulder_l",
 ];
 
 /// The static poses that a calibration can hold.
@@ -28,7 +30,7 @@ pub(super) const POSES: [&str; 2] = ["n_pose", "t_pose"];
 /// The movements that concern both sides.
 pub(super) const TRUNK_MOVEMENTS: [&str; 3] = ["bow", "trunk_rotation", "neck_flexion"];
 /// The movements of the `human` skeleton that a calibration can hold; each with `_r` or `_l` behind it.
-pub(super) const MOVEMENTS: [&str; 11] = [
+pub(super) const MOVEMENTS: [&str; 12] = [
     "elbow_flexion",
     "elbow_pronation",
     "shoulder_flexion",
@@ -40,6 +42,7 @@ pub(super) const MOVEMENTS: [&str; 11] = [
     "hip_rotation",
     "wrist_flexion",
     "ankle_flexion",
+    "shrug",
 ];
 
 /// Index of a body in [`Stage::bodies`](crate::Stage::bodies).
@@ -188,7 +191,7 @@ pub struct Lengths {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Skeleton {
-    /// Torso, pelvis, arms and legs, head, hands and feet.
+    /// Torso, pelvis, arms and legs, head, hands, feet and shoulders.
     #[default]
     Human,
     /// What `[[body.segments]]` says.

@@ -67,6 +67,13 @@ impl Wearers {
         Ok(wearers)
     }
 
+    /// The segments that messages have of such a body: all, but for the shoulders where neither wears a sensor.
+    pub fn segments(&self) -> &'static [BodySegment] {
+        let shoulders = BodySegment::SHOULDERS.into_iter().any(|shoulder| self.has(shoulder));
+        let count = if shoulders { SEGMENTS } else { BodySegment::BEFORE_SHOULDERS };
+        &BodySegment::ALL[..count]
+    }
+
     fn has(&self, segment: BodySegment) -> bool {
         self.imus[segment.index()].is_some() || self.trackers.iter().any(|(_, at)| *at == segment)
     }
@@ -128,8 +135,8 @@ impl BodyLayout {
     /// Of a body of a stage that wears sensors. `None` without that body, without a sensor on the human skeleton, with two IMUs on one
     /// of its segments, or with a custom skeleton that is no [`ChainLayout`].
     ///
-    /// With an IMU on the body an angle is shown where both segments beside the joint wear a sensor; trackers alone show all of trunk and limbs, and of neck, wrists
-    /// and ankles those below which one sits.
+    /// With an IMU on the body an angle is shown where both segments beside the joint wear a sensor; trackers alone show all of trunk and limbs, and of neck, wrists,
+    /// ankles and collar bones those below which one sits.
     pub fn of(stage: &Stage, body: BodyIndex) -> Option<Self> {
         if stage.bodies.get(usize::from(body))?.skeleton != crate::Skeleton::Human {
             return ChainLayout::of(stage, body).map(Self::of_chain);
@@ -138,22 +145,22 @@ impl BodyLayout {
         if wearers == Wearers::default() {
             return None;
         }
-        let segments = BodySegment::ALL.map(|segment| SegmentLayout {
+        let segments = wearers.segments().iter().map(|segment| SegmentLayout {
             name: segment.name().into(),
-            joint: of_joint(segment).next().map_or("", |angle| joint_and_angle(ANGLE_NAMES[angle]).0).into(),
+            joint: of_joint(*segment).next().map_or("", |angle| joint_and_angle(ANGLE_NAMES[angle]).0).into(),
             parent: segment.parent().map(BodySegment::index),
-            angles: of_joint(segment),
+            angles: of_joint(*segment),
         });
         // Trackers alone show the whole figure, IMUs what lies between two sensors.
         let imus = wearers.imus.iter().any(Option::is_some);
         let shown = |segment: &BodySegment| {
             let parent = segment.parent();
-            let whole = !imus && !BodySegment::EXTREMITIES.contains(segment);
+            let whole = !imus && !BodySegment::LEAVES.contains(segment);
             let worn = wearers.has(*segment);
             parent.is_some_and(|parent| whole || (worn && (!imus || wearers.has(parent))))
         };
         let shown_angles = BodySegment::ALL.into_iter().filter(shown).flat_map(of_joint).collect();
-        Some(Self { segments: segments.into(), shown_angles, has_places: true })
+        Some(Self { segments: segments.collect(), shown_angles, has_places: true })
     }
 
     fn of_chain(chain: ChainLayout) -> Self {
@@ -194,7 +201,7 @@ impl SegmentLayout {
     /// What one of the joint's angles is called, `index` being one of [`Self::angles`]; a hinge of a chain has its flexion alone.
     ///
     /// # Panics
-    /// The segment is one of the human skeleton, and `index` is beyond its 38 angles.
+    /// The segment is one of the human skeleton, and `index` is beyond its 44 angles.
     pub fn angle(&self, index: usize) -> &'static str {
         let human = BodySegment::named(&self.name).is_some_and(|segment| of_joint(segment) == self.angles);
         if human { joint_and_angle(ANGLE_NAMES[index]).1 } else { "flexion" }
@@ -204,14 +211,14 @@ impl SegmentLayout {
 /// A custom skeleton of hinges with an IMU on each segment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ChainLayout {
-    /// The segments in the order of the stage file, parents first; 1 to 10.
+    /// The segments in the order of the stage file, parents first; 1 to 17.
     pub segments: Vec<ChainSegment>,
     /// The IMU on each, in the same order; of several the first in the stage file.
     pub imus: Vec<SensorIndex>,
 }
 
 impl ChainLayout {
-    /// Of a body of the stage with a custom skeleton. `None` where that is no such chain: no segment, more than 10, a joint that is no hinge,
+    /// Of a body of the stage with a custom skeleton. `None` where that is no such chain: no segment, more than 17, a joint that is no hinge,
     /// a parent that is not above its child, or a segment without an IMU.
     pub fn of(stage: &Stage, body: BodyIndex) -> Option<Self> {
         let wearer = Some(body);

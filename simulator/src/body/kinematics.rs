@@ -21,12 +21,14 @@ pub const SEGMENT_NAMES: [&str; SEGMENTS] = [
     "foot_r",
     "hand_l",
     "foot_l",
+    "shoulder_r",
+    "shoulder_l",
 ];
 
 /// How many segments there are.
-pub const SEGMENTS: usize = 15;
+pub const SEGMENTS: usize = 17;
 
-/// Lengths of a body, m.
+/// Lengths of a body, m, and whether its shoulders move.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Build {
     /// Between the shoulders.
@@ -47,6 +49,8 @@ pub struct Build {
     pub thigh_m: f64,
     /// Knee to ankle.
     pub shank_m: f64,
+    /// Whether collar bones and shoulder blades move, as [`Posture::girdle`] says and with arms that are raised; else they go with the chest.
+    pub girdle: bool,
 }
 
 impl Build {
@@ -62,10 +66,19 @@ impl Build {
             hand_m: 0.108 * height_m,
             thigh_m: 0.245 * height_m,
             shank_m: 0.246 * height_m,
+            girdle: false,
         }
     }
 }
 
+/// From the middle to the root of a shoulder, of half the distance between the arms' joints.
+const SHOULDER_ROOT: f64 = 0.14;
+/// What a collar bone does with its arm, about as Ludewig et al. (2009) measured, rad: overhead it has risen and turned backwards about itself by so much, half of it where the
+/// arm is level, and it goes ahead or back by so much where a level arm points forward or to the side.
+const RISES_RAD: f64 = 0.21;
+const ROLLS_RAD: f64 = 0.5;
+const AHEAD_RAD: f64 = 0.2;
+const BACK_RAD: f64 = 0.2;
 /// Height of the ankles of somebody who stands, m.
 pub(super) const ANKLE_M: f64 = 0.07;
 /// From the ankle to the ball and to the heel along the sole, and down to it, of the legs' length.
@@ -111,6 +124,9 @@ pub struct Posture {
     pub spine: [f64; 3],
     /// Head against the torso, rad: flexion, lateral flexion, rotation.
     pub neck: [f64; 3],
+    /// Collar bone and shoulder blade against the torso, rad: protraction, elevation, rotation backwards; besides what they do with the arm, and where a [`Build`]'s shoulders
+    /// move.
+    pub girdle: [[f64; 3]; 2],
     /// Upper arm against the torso, rad: plane of elevation, elevation, rotation.
     pub shoulder: [[f64; 3]; 2],
     /// How a raised shoulder departs from those, about its x and z, rad; smooth where the arm hangs, unlike plane and elevation.
@@ -127,7 +143,7 @@ pub struct Posture {
     pub ankle: [[f64; 3]; 2],
 }
 
-/// Where a segment is in the room (z up). The origin is the proximal joint of a limb's segment, of head, hand and foot, the mid-point of the hips for the
+/// Where a segment is in the room (z up). The origin is the proximal joint of a limb's segment, of head, hand, foot and shoulder, the mid-point of the hips for the
 /// pelvis, and the middle between hips and shoulders for the torso.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
@@ -198,6 +214,20 @@ impl Posture {
         ];
     }
 
+    /// A collar bone's axes against the torso's.
+    fn girdle_axes(&self, side: usize, sign: f64) -> Matrix3<f64> {
+        let [plane, elevation, _] = self.shoulder[side];
+        // Smooth where the arm hangs: from 0 there to 1 overhead, and how far the arm points forward and to the side.
+        let raised = 0.5 - 0.5 * libm::cos(elevation);
+        let [forward, sideways] =
+            [libm::sin(plane), libm::cos(plane)].map(|part| part * libm::sin(elevation));
+        let [protraction, lifted, rolled] = self.girdle[side];
+        let protraction = protraction + AHEAD_RAD * forward - BACK_RAD * sideways;
+        about_y(sign * protraction)
+            * about_x(-sign * (lifted + RISES_RAD * raised))
+            * about_z(rolled + ROLLS_RAD * raised)
+    }
+
     /// Where every segment of a body of these lengths is in the room: rigid segments, joints without translation.
     pub fn place(&self, build: &Build) -> TrueBody {
         let pelvis = self.pelvis_axes();
@@ -217,7 +247,15 @@ impl Posture {
             let arm = lean * about_y(sign * plane) * about_x(-sign * elevation) * about_y(sign * rotation);
             let [flexion, pronation] = self.elbow[side];
             let forearm = arm * about_z(flexion) * about_y(sign * pronation);
-            let shoulder = shoulders_m + torso * Vector3::new(0.0, 0.0, sign * 0.5 * build.shoulder_width_m);
+            let half_m = sign * 0.5 * build.shoulder_width_m;
+            let root = shoulders_m + torso * Vector3::new(0.0, 0.0, SHOULDER_ROOT * half_m);
+            let (girdle, shoulder) = if build.girdle {
+                let girdle = torso * self.girdle_axes(side, sign);
+                (girdle, root + girdle * Vector3::new(0.0, 0.0, (1.0 - SHOULDER_ROOT) * half_m))
+            } else {
+                (torso, shoulders_m + torso * Vector3::new(0.0, 0.0, half_m))
+            };
+            body[15 + side] = Placement { axes: girdle, origin_m: root };
             let elbow = shoulder - arm * Vector3::new(0.0, build.upper_arm_m, 0.0);
             let [thigh, shank] = self.leg_axes(side, sign, &pelvis);
             let hip = hips_m + pelvis * Vector3::new(0.0, 0.0, sign * 0.5 * build.hip_width_m);

@@ -35,7 +35,7 @@ pub enum Activity {
     /// Stands, holds a T-pose, then bends elbows, knees, hips, head, feet and trunk with rests between, again and again: what a full calibration
     /// asks for, with or without magnetometers.
     Bends,
-    /// Stands, holds a T-pose, then moves limb after limb, head, hands, feet and the trunk with rests between, again and again: what a calibration asks
+    /// Stands, holds a T-pose, then moves limb after limb, head, hands, feet, shoulders if they move, and the trunk with rests between, again and again: what a calibration asks
     /// for that finds which sensor sits where.
     Movements,
     /// Three sets of five curls, reaches, three sets of five squats, with five seconds of rest after each set, and a lap about the room: two minutes and a
@@ -126,7 +126,7 @@ pub struct Script {
 }
 
 /// The movements: name, amplitude in rad; three seconds there and back, twice.
-const MOVEMENTS: [(&str, f64); 18] = [
+const MOVEMENTS: [(&str, f64); 20] = [
     ("elbow_flexion_r", 1.7),
     ("elbow_flexion_l", 1.7),
     ("elbow_pronation_r", 1.2),
@@ -145,6 +145,8 @@ const MOVEMENTS: [(&str, f64); 18] = [
     ("ankle_flexion_r", 0.4),
     ("wrist_flexion_l", 0.9),
     ("ankle_flexion_l", 0.4),
+    ("shrug_r", 0.4),
+    ("shrug_l", 0.4),
 ];
 /// Of these, so many come first in a script that begins with a calibration.
 const FIRST: usize = 13;
@@ -152,6 +154,8 @@ const FIRST: usize = 13;
 const BENDS: [usize; 10] = [0, 1, 6, 7, 8, 9, 13, 15, 17, 10];
 /// And those that move one segment or the trunk: arms, legs, head, hands, feet, bow and trunk.
 const EACH_LIMB: [usize; 15] = [0, 4, 1, 5, 6, 8, 7, 9, 13, 14, 15, 16, 17, 10, 11];
+/// The same of somebody whose shoulders move.
+const EACH_LIMB_AND_SHOULDER: [usize; 17] = [0, 4, 1, 5, 6, 8, 7, 9, 13, 14, 15, 16, 17, 18, 19, 10, 11];
 const POSE_S: f64 = 3.0;
 const CHANGE_S: f64 = 2.0;
 const MOVE_S: f64 = 5.0;
@@ -222,7 +226,7 @@ impl Script {
         if t > 0.0 {
             self.activity.act(&mut posture, t, step(t / RAMP_S), build);
         }
-        if let (Some(mistake), Some(round_s)) = (self.mistake, self.activity.round_s()) {
+        if let (Some(mistake), Some(round_s)) = (self.mistake, self.activity.round_s(build)) {
             mistake.spoil(&mut posture, step((round_s - t) / CHANGE_S));
         }
         posture
@@ -251,11 +255,11 @@ impl Activity {
     }
 
     /// After how long a calibration's poses and movements come again, s; `None` of what is no calibration.
-    fn round_s(self) -> Option<f64> {
+    fn round_s(self, build: &Build) -> Option<f64> {
         match self {
             Activity::Poses => Some(POSES_S),
             Activity::Bends => Some(round_s(&BENDS)),
-            Activity::Movements => Some(round_s(&EACH_LIMB)),
+            Activity::Movements => Some(round_s(each_limb(build))),
             _ => None,
         }
     }
@@ -379,7 +383,7 @@ impl Activity {
             Activity::Waving => waves(p, t),
             Activity::Poses => hold_t_pose(p, t.rem_euclid(POSES_S), POSE_S),
             Activity::Bends => pose_and_move(p, t, &BENDS),
-            Activity::Movements => pose_and_move(p, t, &EACH_LIMB),
+            Activity::Movements => pose_and_move(p, t, each_limb(build)),
             Activity::Workout => {
                 let round_s: f64 = WORKOUT.iter().map(|part| part.duration_s + part.rest_s).sum();
                 let mut at = (t - LEAD_S).rem_euclid(round_s);
@@ -440,6 +444,10 @@ fn pose_and_move(p: &mut Posture, t: f64, movements: &[usize]) {
     }
 }
 
+fn each_limb(build: &Build) -> &'static [usize] {
+    if build.girdle { &EACH_LIMB_AND_SHOULDER } else { &EACH_LIMB }
+}
+
 fn round_s(movements: &[usize]) -> f64 {
     BEGIN_S + MOVED_S * movements.len() as f64
 }
@@ -490,6 +498,7 @@ fn bend(p: &mut Posture, kind: &str, angle: f64) {
         "neck_flexion" => p.neck[0] = angle,
         "wrist_flexion" => p.wrist[side][0] = angle,
         "ankle_flexion" => p.ankle[side][0] = angle,
+        "shrug" => p.girdle[side][1] = angle,
         _ => {
             // A bow from the hips: the legs stay upright.
             p.pelvis[1] = angle;

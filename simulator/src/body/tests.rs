@@ -32,6 +32,9 @@ fn posture(angles: &str) -> Posture {
             ["ankle", _, "flexion"] => posture.ankle[side][0] = angle,
             ["ankle", _, "inversion"] => posture.ankle[side][1] = angle,
             ["ankle", _, "rotation"] => posture.ankle[side][2] = angle,
+            ["sternoclavicular", _, "protraction"] => posture.girdle[side][0] = angle,
+            ["sternoclavicular", _, "elevation"] => posture.girdle[side][1] = angle,
+            ["sternoclavicular", _, "rotation"] => posture.girdle[side][2] = angle,
             _ => panic!("no angle {name}"),
         }
     }
@@ -44,7 +47,7 @@ fn segments_stand_as_in_the_poses_by_hand() {
     let mut poses = 0;
     for line in text.lines().filter(|line| !line.starts_with('#')).skip(1) {
         let cells: Vec<&str> = line.split(',').collect();
-        let body = posture(cells[1]).place(&Build::of_height(1.8));
+        let body = posture(cells[1]).place(&Build { girdle: true, ..Build::of_height(1.8) });
         let index = SEGMENT_NAMES.iter().position(|name| *name == cells[2]).unwrap();
         let number = |at: usize| cells[at].parse::<f64>().unwrap();
         for (column, at) in [(0, 3), (1, 6)] {

@@ -196,6 +196,12 @@ impl Wearer {
                 "hand" => build.hand_m,
                 _ => 0.0,
             };
+            // Half way from the root to the arm's joint.
+            let aside_m = match SEGMENT_NAMES[index] {
+                "shoulder_r" => 0.25 * build.shoulder_width_m,
+                "shoulder_l" => -0.25 * build.shoulder_width_m,
+                _ => 0.0,
+            };
             let forward_m = if SEGMENT_NAMES[index].starts_with("foot") { 0.07 } else { 0.0 };
             let matrix = |a: Vector3<f64>, b: Vector3<f64>, c: Vector3<f64>| {
                 Matrix3::identity() + Matrix3::from_columns(&[a, b, c])
@@ -203,7 +209,7 @@ impl Wearer {
             Unit {
                 mount: UnitQuaternion::from_scaled_axis(vector(1.0)),
                 slip: None,
-                offset_m: Vector3::new(forward_m, -0.5 * length_m, 0.0) + vector(0.02),
+                offset_m: Vector3::new(forward_m, -0.5 * length_m, aside_m) + vector(0.02),
                 gyro: (matrix(vector(e.scale), vector(e.scale), vector(e.scale)), vector(e.gyro_bias_rad_s)),
                 accel: (matrix(vector(e.scale), vector(e.scale), vector(e.scale)), vector(e.accel_bias_m_s2)),
                 magnet: vector(e.mag_bias_ut),
@@ -346,4 +352,5 @@ fn clumsy(posture: &mut super::Posture, sigma: f64, seed: u64) {
     posture.neck.iter_mut().for_each(&mut add);
     posture.wrist.iter_mut().flatten().for_each(&mut add);
     posture.ankle.iter_mut().flatten().for_each(&mut add);
+    posture.girdle.iter_mut().flatten().for_each(&mut add);
 }

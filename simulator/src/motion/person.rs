@@ -10,7 +10,7 @@ use crate::body::{Activity, Build, Mistake, SEGMENT_NAMES, Script};
 
 /// A whole person who stands, calibrates, moves.
 ///
-/// Segments: `torso`, `pelvis`, `upper_arm_r`, `forearm_r`, `thigh_r`, `shank_r` and `_l`, with the axes and origins of the stage
+/// Segments: `torso`, `pelvis`, `upper_arm_r`, `forearm_r`, `thigh_r`, `shank_r` and `_l`, `head`, `hand_r`, `foot_r`, `shoulder_r` and `_l`, with the axes and origins of the stage
 /// file's human skeleton.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -35,6 +35,8 @@ pub struct Person {
     pub follows: Vec<PathBuf>,
     /// How far straps wander: each turns its sensor on the segment slowly, within a minute or two, by this about each axis, root mean square over time, degrees.
     pub strap_deg: f64,
+    /// Whether collar bones and shoulder blades move: with arms that are raised, and in `movements` by themselves. Without, they go with the chest.
+    pub girdle: bool,
     /// Frames per second of tables that have no column of times (`t`, `time_s`, `t_ms`).
     pub follows_rate_hz: Option<f64>,
 }
@@ -51,6 +53,7 @@ impl Default for Person {
             follows: Vec::new(),
             follows_rate_hz: None,
             strap_deg: 0.0,
+            girdle: false,
         }
     }
 }
@@ -60,6 +63,7 @@ impl Person {
 
     pub(super) fn pose(&self, take: Option<&Take>, segment: usize, t_s: f64) -> Isometry3<f64> {
         let build = take.map_or_else(|| Build::of_height(self.height_m), Take::build);
+        let build = Build { girdle: self.girdle, ..build };
         let script = Script {
             activity: self.activity,
             calibration: self.calibration,

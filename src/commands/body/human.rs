@@ -63,8 +63,9 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
     })?;
     let names = BodySegment::ALL.map(BodySegment::name);
     let mut places = places(stage, imu, &names);
-    // A sensor on all of trunk and limbs, or on everything.
-    let whole = [SEGMENTS - BodySegment::EXTREMITIES.len(), SEGMENTS].contains(&imu.sensors.len());
+    // A sensor on all of trunk and limbs, on head, hands and feet as well, or on everything.
+    let whole = [SEGMENTS - BodySegment::LEAVES.len(), BodySegment::BEFORE_SHOULDERS, SEGMENTS]
+        .contains(&imu.sensors.len());
     if args.assign && whole && places.iter().all(Option::is_none) {
         places = (0..imu.sensors.len()).map(Some).collect();
     }

@@ -65,8 +65,8 @@ async fn avatars_get_bones_and_a_word_when_there_are_none() {
         let (address, hips) = &messages[3];
         assert_eq!((address.as_str(), &hips[0]), ("/VMC/Ext/Bone/Pos", &OscType::String("Hips".to_owned())));
         assert_eq!(hips[1..4], [1.0, 3.0, 2.0].map(OscType::Float), "Unity's axes");
-        // Head, hands and feet wear nothing.
-        assert_eq!(messages.len(), 3 + SEGMENTS - BodySegment::EXTREMITIES.len());
+        // Head, hands, feet and shoulders wear nothing.
+        assert_eq!(messages.len(), 3 + SEGMENTS - BodySegment::LEAVES.len());
     }
     // The same instant again is none of sixty a second; then nothing comes any more.
     server.hub.publish(&Output::Body(&body(1001)));

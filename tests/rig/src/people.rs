@@ -32,7 +32,7 @@ pub fn people_toml(cast: &[Member]) -> (String, Scenario) {
              [[body]]\nname = \"{name}\"\nheight_m = {height_m}\nmounting = \"given\"\n"
         );
         let skeleton = Skeleton::from_height(*height_m);
-        for (address, segment) in (1..).zip(BodySegment::ALL) {
+        for (address, segment) in (1..).zip(BodySegment::ALL).take(BodySegment::BEFORE_SHOULDERS) {
             let offset_m: [f64; 3] = skeleton.usual_sensor_m(segment).into();
             let sensor = format!("{name}-{}", segment.name());
             text += &format!(

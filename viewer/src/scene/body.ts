@@ -6,7 +6,7 @@ import { Labels } from "./labels";
 import { quaternion, vector } from "./scene";
 import { spoken } from "../format";
 import { token } from "../theme.svelte";
-import { ANKLE, FOREARM, HIP, SHANK, SHOULDER, THIGH, TRUNK, UPPER_ARM, segmentShape } from "./shape";
+import { ANKLE, FOREARM, HIP, SHANK, SHOULDER, SHOULDER_ROOT, THIGH, TRUNK, UPPER_ARM, segmentShape } from "./shape";
 
 /** The heel and the ball of the foot, ahead of the ankle. */
 const HEEL = -0.031;
@@ -39,6 +39,7 @@ const PLACES: Record<string, Place> = {
   head: { parent: "torso", inParent: [0, TRUNK / 2, 0], inOwn: [0, 0, 0] },
 };
 for (const [side, z] of [["r", 1], ["l", -1]] as const) {
+  PLACES[`shoulder_${side}`] = { parent: "torso", inParent: [0, TRUNK / 2, z * SHOULDER_ROOT], inOwn: [0, 0, 0] };
   PLACES[`upper_arm_${side}`] = { parent: "torso", inParent: [0, TRUNK / 2, z * SHOULDER], inOwn: [0, 0, 0] };
   PLACES[`forearm_${side}`] = { parent: `upper_arm_${side}`, inParent: [0, -UPPER_ARM, 0], inOwn: [0, 0, 0] };
   PLACES[`thigh_${side}`] = { parent: "pelvis", inParent: [0, 0, z * HIP], inOwn: [0, 0, 0] };
@@ -154,6 +155,8 @@ export class BodyFigure {
         part.state = state;
         part.mesh.material = name === this.chosen ? shining(this.materials[state]) : this.materials[state];
       }
+      // Messages have shoulders where they wear sensors; else the torso is drawn as wide as it is.
+      part.mesh.visible = segment !== undefined || !name.startsWith("shoulder_");
       const above = parent === null ? null : this.parts.get(parent)!.group;
       if (segment?.orientation_wxyz) quaternion(segment.orientation_wxyz, part.group.quaternion);
       else if (above) part.group.quaternion.copy(above.quaternion);

@@ -7,6 +7,8 @@ import { mergeGeometries } from "three/examples/jsm/utils/BufferGeometryUtils.js
 /** Lengths in parts of the height, as the daemon has them (docs/body.md). */
 export const TRUNK = 0.288;
 export const SHOULDER = 0.129;
+/** Where the collar bone begins. */
+export const SHOULDER_ROOT = 0.14 * SHOULDER;
 export const HIP = 0.05;
 export const UPPER_ARM = 0.186;
 export const FOREARM = 0.146;
@@ -144,6 +146,11 @@ function solids(name: string): THREE.BufferGeometry[] {
         // The nose, which shows where it looks, and the ears.
         ball(0.057, 0.094, 0, [0.009, 0.013, 0.007]), ball(-0.004, 0.1, 0.045, [0.011, 0.016, 0.005]), ball(-0.004, 0.1, -0.045, [0.011, 0.016, 0.005]),
       ];
+    case "shoulder": {
+      // From the root of the collar bone to the arm.
+      const half = (SHOULDER - SHOULDER_ROOT) / 2;
+      return [ball(0, 0, name.endsWith("_r") ? half : -half, [0.024, 0.02, half])];
+    }
     case "pelvis":
       return [loft(PELVIS)];
     case "upper_arm":

@@ -5,7 +5,7 @@
 
 use super::super::server::Refusal;
 use super::Calls;
-use posed_fusion::body::{ANGLE_NAMES, ANGLES, BodySegment, SEGMENTS, Skeleton, orientations};
+use posed_fusion::body::{ANGLE_NAMES, ANGLES, BodySegment, SEGMENTS, Skeleton, of_joint, orientations};
 use posed_motion::exercise::{Exercise, Joint};
 use posed_protocol::{Demonstration, FigureSegment};
 use posed_sessions::course_at;
@@ -38,12 +38,17 @@ fn demonstration(exercise: &Exercise, skeleton: &Skeleton) -> Option<Demonstrati
             angle_of_column(column).map(|(angle, rad)| (column, angle, rad, states))
         })
         .collect();
+    // As messages have it: without the shoulders where nothing is known of them.
+    let mut shoulders = BodySegment::SHOULDERS.into_iter().flat_map(of_joint);
+    let is_shown = |joint_angle: usize| shown.iter().any(|(_, angle, ..)| *angle == joint_angle);
+    let moved = shoulders.any(is_shown);
+    let segments = &BodySegment::ALL[..if moved { SEGMENTS } else { BodySegment::BEFORE_SHOULDERS }];
     let frame = |number: usize| {
         let mut known_rad = [None; ANGLES];
         for (_, angle, rad, states) in &shown {
             known_rad[*angle] = Some(rad * course_at(states, number, FRAMES));
         }
-        figure(&orientations(&known_rad), skeleton)
+        figure(&orientations(&known_rad), skeleton, segments)
     };
     (!shown.is_empty()).then(|| Demonstration {
         exercise: exercise.name.clone(),
@@ -65,14 +70,15 @@ fn angle_of_column(column: &str) -> Option<(usize, f64)> {
 fn figure(
     orientations: &[nalgebra::UnitQuaternion<f64>; SEGMENTS],
     skeleton: &Skeleton,
+    segments: &[BodySegment],
 ) -> Vec<FigureSegment> {
     let origins_m = skeleton.origins_m(orientations, skeleton.standing_m(orientations));
-    let segment = |segment: BodySegment| FigureSegment {
+    let segment = |segment: &BodySegment| FigureSegment {
         name: segment.name().to_owned(),
         position_m: origins_m[segment.index()].into(),
         orientation_wxyz: posed_geometry::orientation_to_wxyz(&orientations[segment.index()]),
     };
-    BodySegment::ALL.into_iter().map(segment).collect()
+    segments.iter().map(segment).collect()
 }
 
 #[cfg(test)]

@@ -92,7 +92,7 @@ impl BodyFilter {
         let segment = anchor.segment;
         let known = self.estimate.orientations[segment.index()];
         let q = known.or(anchor.orientation.map(|(q, _)| q)).or_else(|| {
-            let parent = segment.parent().filter(|_| BodySegment::EXTREMITIES.contains(&segment))?;
+            let parent = segment.parent().filter(|_| BodySegment::LEAVES.contains(&segment))?;
             self.estimate.orientations[parent.index()]
         })?;
         let mut all = self.estimate.posture;

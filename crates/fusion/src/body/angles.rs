@@ -13,7 +13,7 @@ use posed_geometry::so3::exp;
 const SINGULAR: f64 = 1e-6;
 
 /// Angles of a body; their meaning, axes and signs are in the table of `docs/body.md`.
-pub const ANGLES: usize = 38;
+pub const ANGLES: usize = 44;
 
 /// How columns and fields of the angles are named: joint, side where there is one, angle.
 pub const ANGLE_NAMES: [&str; ANGLES] = [
@@ -55,6 +55,12 @@ pub const ANGLE_NAMES: [&str; ANGLES] = [
     "ankle_l_flexion",
     "ankle_l_inversion",
     "ankle_l_rotation",
+    "sternoclavicular_r_protraction",
+    "sternoclavicular_r_elevation",
+    "sternoclavicular_r_rotation",
+    "sternoclavicular_l_protraction",
+    "sternoclavicular_l_elevation",
+    "sternoclavicular_l_rotation",
 ];
 
 /// Where the angles of the joint above a segment are in [`ANGLE_NAMES`]; empty for the pelvis.
@@ -75,6 +81,8 @@ pub fn of_joint(segment: BodySegment) -> std::ops::Range<usize> {
         BodySegment::FootR => 30..33,
         BodySegment::HandL => 33..35,
         BodySegment::FootL => 35..38,
+        BodySegment::ShoulderR => 38..41,
+        BodySegment::ShoulderL => 41..44,
     }
 }
 
@@ -96,7 +104,7 @@ pub fn angles(orientations: &[Option<UnitQuaternion<f64>>; SEGMENTS]) -> [Option
 }
 
 /// Angles of the joint above a segment, rad, from segment to parent; as many as [`of_joint`] has, the rest zero. Decomposed
-/// as ISB recommends (Wu et al. 2002, 2005): Z-X-Y, shoulder Y-X-Y, left joints as in a mirror; the wrist X-Z-Y, since the forearm's x points to the thumb here.
+/// as ISB recommends (Wu et al. 2002, 2005): Z-X-Y, shoulder Y-X-Y, left joints as in a mirror; the collar bone Y-X-Z; the wrist X-Z-Y, since the forearm's x points to the thumb here.
 ///
 /// Where the sequence is singular (middle angle of 90 degrees, for the shoulder 0 or 180) the first angle is zero and the
 /// last has both.
@@ -128,6 +136,10 @@ pub fn joint_angles(segment: BodySegment, q_parent_segment: &UnitQuaternion<f64>
             [flexion, -deviation, 0.0, 0.0, 0.0]
         }
         BodySegment::ShankR | BodySegment::ShankL => [-zxy(&right)[0], 0.0, 0.0, 0.0, 0.0],
+        BodySegment::ShoulderR | BodySegment::ShoulderL => {
+            let [protraction, depression, rotation] = yxz(&right);
+            [protraction, -depression, rotation, 0.0, 0.0]
+        }
     }
 }
 
@@ -150,6 +162,9 @@ pub fn joint_rotation(segment: BodySegment, angles: &[f64]) -> UnitQuaternion<f6
             exp(&(z * angle(0))) * exp(&(x * angle(1))) * exp(&(y * angle(2)))
         }
         BodySegment::ShankR | BodySegment::ShankL => exp(&(-z * angle(0))),
+        BodySegment::ShoulderR | BodySegment::ShoulderL => {
+            exp(&(y * angle(0))) * exp(&(-x * angle(1))) * exp(&(z * angle(2)))
+        }
     };
     to_right(segment, &right)
 }
@@ -171,6 +186,16 @@ fn zxy(q: &UnitQuaternion<f64>) -> [f64; 3] {
         return [0.0, b, libm::atan2(m[(0, 2)], m[(0, 0)])];
     }
     [libm::atan2(-m[(0, 1)], m[(1, 1)]), b, libm::atan2(-m[(2, 0)], m[(2, 2)])]
+}
+
+/// Angles of `R_y(a) R_x(b) R_z(c)`.
+fn yxz(q: &UnitQuaternion<f64>) -> [f64; 3] {
+    let m = q.to_rotation_matrix().into_inner();
+    let b = libm::asin((-m[(1, 2)]).clamp(-1.0, 1.0));
+    if libm::cos(b) < SINGULAR {
+        return [0.0, b, libm::atan2(-m[(0, 1)], m[(0, 0)])];
+    }
+    [libm::atan2(m[(0, 2)], m[(2, 2)]), b, libm::atan2(m[(1, 0)], m[(1, 1)])]
 }
 
 /// The first two angles of `R_x(a) R_z(b) R_y(c)`.

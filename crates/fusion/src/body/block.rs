@@ -35,6 +35,8 @@ pub enum Movement {
     Rotation,
     /// Forearm about its own axis, palm down first.
     Pronation,
+    /// Shoulder up, towards the ear.
+    Elevation,
 }
 
 impl BlockKind {
@@ -54,6 +56,10 @@ impl BlockKind {
             None => (name.strip_suffix("_l")?, false),
         };
         let side = |r, l| if right { r } else { l };
+        if rest == "shrug" {
+            let shoulder = side(BodySegment::ShoulderR, BodySegment::ShoulderL);
+            return Some(Self::Move(shoulder, Movement::Elevation));
+        }
         let (joint, movement) = rest.split_once('_')?;
         let segment = match joint {
             "elbow" => side(BodySegment::ForearmR, BodySegment::ForearmL),
@@ -83,6 +89,8 @@ impl BlockKind {
             Self::Walk => return "walk".into(),
             Self::TrunkRotation => return "trunk_rotation".into(),
             Self::Move(BodySegment::Head, _) => return "neck_flexion".into(),
+            Self::Move(BodySegment::ShoulderR, _) => return "shrug_r".into(),
+            Self::Move(BodySegment::ShoulderL, _) => return "shrug_l".into(),
             Self::Move(segment, movement) => (segment, movement),
         };
         let joint = match segment {
@@ -98,6 +106,7 @@ impl BlockKind {
             Movement::Abduction => "abduction",
             Movement::Rotation => "rotation",
             Movement::Pronation => "pronation",
+            Movement::Elevation => "elevation",
         };
         format!("{joint}_{movement}_{}", if segment.side() > 0.0 { "r" } else { "l" })
     }

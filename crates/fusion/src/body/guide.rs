@@ -381,18 +381,22 @@ impl Guide {
 
     /// The sensors that show a movement.
     fn moved_by(&self, kind: BlockKind) -> impl Iterator<Item = usize> + '_ {
+        let present = |segment: &BodySegment| self.present[segment.index()];
         let moved = match kind {
-            BlockKind::Move(segment, _) => segment,
-            _ => BodySegment::Torso,
+            BlockKind::Move(segment, _) => Some(segment),
+            _ => TRUNK.into_iter().find(present),
         };
-        let only = if self.present[moved.index()] { moved } else { BodySegment::Pelvis };
-        self.all().filter(move |index| !self.assigned || *index == only.index())
+        self.all().filter(move |index| !self.assigned || moved.is_some_and(|moved| *index == moved.index()))
     }
 }
 
 fn arms(present: &[bool; SEGMENTS]) -> impl Iterator<Item = usize> + '_ {
     BodySegment::ARMS.into_iter().map(BodySegment::index).filter(|index| present[*index])
 }
+
+/// What a bow moves; the first that is worn shows it.
+const TRUNK: [BodySegment; 4] =
+    [BodySegment::Torso, BodySegment::Pelvis, BodySegment::ShoulderR, BodySegment::ShoulderL];
 
 /// In the order in which they are bent where it is not known who is who.
 const LIMBS: [BodySegment; 8] = [
@@ -413,6 +417,7 @@ fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<B
         return vec![BlockKind::Walk];
     }
     let mut steps = vec![BlockKind::NPose];
+    let bows = TRUNK.into_iter().any(has);
     let with_arms = arms(present).next().is_some();
     if with_arms {
         steps.push(BlockKind::TPose);
@@ -423,7 +428,9 @@ fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<B
         }
         let bends = LIMBS.into_iter().chain(BodySegment::EXTREMITIES).filter(|limb| has(*limb));
         steps.extend(bends.map(|limb| BlockKind::Move(limb, Movement::Flexion)));
-        if has(BodySegment::Torso) || has(BodySegment::Pelvis) {
+        let shrugs = BodySegment::SHOULDERS.into_iter().filter(|shoulder| has(*shoulder));
+        steps.extend(shrugs.map(|shoulder| BlockKind::Move(shoulder, Movement::Elevation)));
+        if bows {
             steps.push(BlockKind::Bow);
         }
         if has(BodySegment::Torso) && has(BodySegment::Pelvis) {
@@ -448,7 +455,7 @@ fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<B
         let ends =
             [BodySegment::Head, BodySegment::FootR, BodySegment::FootL].into_iter().filter(|end| has(*end));
         steps.extend(thighs.chain(ends).map(|moved| BlockKind::Move(moved, Movement::Flexion)));
-        if has(BodySegment::Torso) || has(BodySegment::Pelvis) {
+        if bows {
             steps.push(BlockKind::Bow);
         }
         // The headings begin anew from a posture that looks straight ahead.
@@ -457,8 +464,7 @@ fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<B
         // Something must show which way the body faces. Feet and heads nod both ways alike, and show it to who wears nothing else.
         let leg = [BodySegment::ShankR, BodySegment::ShankL, BodySegment::ThighR, BodySegment::ThighL];
         let end = [BodySegment::Head, BodySegment::FootR, BodySegment::FootL];
-        let trunk = has(BodySegment::Torso) || has(BodySegment::Pelvis);
-        let ends = end.into_iter().filter(|_| !trunk);
+        let ends = end.into_iter().filter(|_| !bows);
         let moved = leg.into_iter().chain(ends).find(|segment| has(*segment));
         steps.push(moved.map_or(BlockKind::Bow, |moved| BlockKind::Move(moved, Movement::Flexion)));
     }
@@ -500,6 +506,12 @@ fn words(kind: BlockKind) -> &'static str {
         }
         BlockKind::Move(BodySegment::Head, _) => {
             "Nod, chin to the chest and up again, three times; then stand still"
+        }
+        BlockKind::Move(BodySegment::ShoulderR, _) => {
+            "Raise the right shoulder towards the ear and let it sink, arm hanging, three times; then stand still"
+        }
+        BlockKind::Move(BodySegment::ShoulderL, _) => {
+            "Raise the left shoulder towards the ear and let it sink, arm hanging, three times; then stand still"
         }
         BlockKind::Move(BodySegment::HandR, _) => {
             "Bend the right wrist towards the palm and back, three times; then stand still"

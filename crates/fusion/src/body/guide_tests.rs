@@ -3,7 +3,7 @@
 use nalgebra::UnitQuaternion;
 use posed_simulator::body::{Activity, Mistake, Script, SensorErrors, Wearer, WearerSpec};
 
-use super::tests::{record, spec};
+use super::tests::{FIFTEEN, fifteen, record, spec};
 use super::*;
 
 struct Case {
@@ -34,7 +34,7 @@ fn guided(case: &Case) -> (Vec<String>, Option<f64>) {
         ..spec(script, case.seed)
     });
     record(&mut wearer, case.begin_s);
-    let mut guide = Guide::new([true; SEGMENTS], case.magnetometer, case.how);
+    let mut guide = Guide::new(FIFTEEN, case.magnetometer, case.how);
     let mut objections = Vec::new();
     for _ in 0..300 {
         for (t_s, samples) in record(&mut wearer, 1.0).0 {
@@ -52,7 +52,7 @@ fn guided(case: &Case) -> (Vec<String>, Option<f64>) {
     let (recording, blocks) = guide.recorded();
     let found = calibrate(recording, blocks, &Skeleton::from_height(1.8), &[None; SEGMENTS]);
     let worst_deg = found.as_ref().ok().map(|found| {
-        BodySegment::ALL.into_iter().fold(0.0, |worst: f64, segment| {
+        fifteen().fold(0.0, |worst: f64, segment| {
             let mount: UnitQuaternion<f64> = found.mounts[segment.index()].unwrap().q_segment_sensor;
             worst.max(mount.angle_to(&wearer.mounting(segment.index()).0).to_degrees())
         })
@@ -134,7 +134,7 @@ fn people_who_stand_as_people_do_hear_nothing() {
 fn a_unit_that_must_be_calibrated_itself_is_named_in_the_end_and_nobody_poses_in_vain() {
     let errors = SensorErrors { gyro_bias_rad_s: 0.045, ..SensorErrors::calibrated() };
     let mut wearer = Wearer::new(WearerSpec { errors, ..spec(ahead(Activity::Poses), 3) });
-    let mut guide = Guide::new([true; SEGMENTS], true, Thoroughness::Quick);
+    let mut guide = Guide::new(FIFTEEN, true, Thoroughness::Quick);
     record(&mut wearer, 25.0).0.iter().for_each(|(t_s, samples)| guide.push(*t_s, samples));
     assert_eq!((guide.prompt(), guide.objection()), (None, (0, None)));
     let (recording, blocks) = guide.recorded();
@@ -147,7 +147,7 @@ fn a_unit_that_must_be_calibrated_itself_is_named_in_the_end_and_nobody_poses_in
 fn what_moves_in_the_place_of_what_was_asked_for_is_named() {
     let slow = WearerSpec { rate_hz: 50.0, clumsiness_rad: 0.02, ..spec(ahead(Activity::Bends), 3) };
     let mut wearer = Wearer::new(slow);
-    let mut guide = Guide::new([true; SEGMENTS], true, Thoroughness::Full);
+    let mut guide = Guide::new(FIFTEEN, true, Thoroughness::Full);
     for (t_s, mut samples) in record(&mut wearer, 90.0).0 {
         samples.swap(BodySegment::ShankR.index(), BodySegment::ShankL.index());
         guide.push(t_s, &samples);
@@ -164,7 +164,7 @@ fn what_moves_in_the_place_of_what_was_asked_for_is_named() {
 #[test]
 fn nothing_goes_on_while_a_sensor_is_silent() {
     let mut wearer = Wearer::new(WearerSpec { rate_hz: 50.0, ..spec(ahead(Activity::Poses), 3) });
-    let mut guide = Guide::new([true; SEGMENTS], true, Thoroughness::Quick);
+    let mut guide = Guide::new(FIFTEEN, true, Thoroughness::Quick);
     for (t_s, mut samples) in record(&mut wearer, 60.0).0 {
         if t_s < 30.0 {
             samples[BodySegment::ForearmL.index()] = None;
@@ -186,7 +186,7 @@ fn nothing_goes_on_while_a_sensor_is_silent() {
 #[test]
 fn who_walks_needs_no_pose() {
     let mut wearer = Wearer::new(WearerSpec { rate_hz: 50.0, ..spec(ahead(Activity::Strolling), 3) });
-    let mut guide = Guide::new([true; SEGMENTS], true, Thoroughness::Movement);
+    let mut guide = Guide::new(FIFTEEN, true, Thoroughness::Movement);
     assert!(guide.prompt().is_some_and(|prompt| prompt.starts_with("Walk about")), "{:?}", guide.prompt());
     record(&mut wearer, 30.0).0.iter().for_each(|(t_s, samples)| guide.push(*t_s, samples));
     assert_eq!((guide.prompt(), guide.objection()), (None, (0, None)));

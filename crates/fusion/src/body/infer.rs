@@ -50,7 +50,7 @@ impl Inference {
     /// The most probable posture of a body of which these segments are known, segment to room; [`upright`] where none is.
     pub(super) fn of(known: &[Option<UnitQuaternion<f64>>; SEGMENTS]) -> Self {
         let free = BodySegment::ALL
-            .map(|segment| known[segment.index()].is_none() && !BodySegment::EXTREMITIES.contains(&segment));
+            .map(|segment| known[segment.index()].is_none() && !BodySegment::LEAVES.contains(&segment));
         let mut inference = Self {
             orientations: begun(known),
             rotations_rad2: [Matrix3::zeros(); SEGMENTS],
@@ -59,7 +59,7 @@ impl Inference {
         if free.contains(&true) && known.iter().any(Option::is_some) {
             inference.solve(&free, known);
         }
-        for segment in BodySegment::EXTREMITIES.into_iter().filter(|end| known[end.index()].is_none()) {
+        for segment in BodySegment::LEAVES.into_iter().filter(|leaf| known[leaf.index()].is_none()) {
             let (at, parent) = (segment.index(), segment.parent().map_or(0, BodySegment::index));
             inference.orientations[at] = inference.orientations[parent];
             inference.joints_rad2[at] = Matrix3::from_diagonal(&Habit::of(segment).variance_rad2());
@@ -171,7 +171,7 @@ fn begun(known: &[Option<UnitQuaternion<f64>>; SEGMENTS]) -> [UnitQuaternion<f64
 struct Habit([[f64; 2]; 3]);
 
 impl Habit {
-    /// Of the joint above a segment. Ranges in degrees about x, y and z of a right joint: American Academy of Orthopaedic Surgeons 1965; the spine's from White & Panjabi 1990.
+    /// Of the joint above a segment. Ranges in degrees about x, y and z of a right joint: American Academy of Orthopaedic Surgeons 1965; the spine's from White & Panjabi 1990, the collar bone's from Lucas 1973.
     fn of(segment: BodySegment) -> Self {
         use BodySegment as B;
         let [x, y, z] = match segment {
@@ -184,6 +184,7 @@ impl Habit {
             B::ThighR | B::ThighL => [[-45.0, 30.0], [-45.0, 45.0], [-30.0, 120.0]],
             B::ShankR | B::ShankL => [[0.0; 2], [0.0; 2], [-135.0, 0.0]],
             B::FootR | B::FootL => [[-15.0, 35.0], [-15.0, 15.0], [-50.0, 20.0]],
+            B::ShoulderR | B::ShoulderL => [[-35.0, 5.0], [-17.5, 17.5], [0.0, 50.0]],
         };
         let sides = if segment.side() < 0.0 { [x, y].map(|[low, high]| [-high, -low]) } else { [x, y] };
         let [x, y] = sides;

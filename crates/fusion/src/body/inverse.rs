@@ -2,8 +2,8 @@
 //!
 //! In: poses of trackers worn on segments, as few or as many as there are. Out: all segments and the hips' mid-point, so
 //! that positions and orientations of the trackers fit best. What no tracker shows stays as it was in the frame before, and
-//! straight at first. Joints keep their axes: knees do not twist, elbows do not bend sideways. Head, hands and feet are turned as their trackers are, and their
-//! places say where neck, wrists and ankles are.
+//! straight at first. Joints keep their axes: knees do not twist, elbows do not bend sideways. Head, hands, feet and shoulders are turned as their trackers are, and their
+//! places say where neck, wrists, ankles and the roots of the shoulders are.
 //!
 //! Levenberg's method on 27 numbers: position and rotation of the pelvis, three angles of the spine, and per limb three of the
 //! ball joint and two or one of the hinge; ball joints step on SO(3). Derivatives by differences: a tracker moves only with
@@ -62,10 +62,10 @@ struct Joints {
     /// Elbows.
     elbows: [[f64; 2]; 2],
     knees: [f64; 2],
-    /// [`BodySegment::EXTREMITIES`] against their parents; where a tracker shows one, by that in [`Self::shown`].
-    ends: [UnitQuaternion<f64>; 5],
+    /// [`BodySegment::LEAVES`] against their parents; where a tracker shows one, by that in [`Self::shown`].
+    leaves: [UnitQuaternion<f64>; BodySegment::LEAVES.len()],
     /// To the room, as a tracker on it shows it now.
-    shown: [Option<UnitQuaternion<f64>>; 5],
+    shown: [Option<UnitQuaternion<f64>>; BodySegment::LEAVES.len()],
 }
 
 const BALLS: [BodySegment; 5] = [
@@ -95,8 +95,8 @@ impl Follower {
             balls: [UnitQuaternion::identity(); 5],
             elbows: [[0.1, 0.0]; 2],
             knees: [0.1; 2],
-            ends: [UnitQuaternion::identity(); 5],
-            shown: [None; 5],
+            leaves: [UnitQuaternion::identity(); BodySegment::LEAVES.len()],
+            shown: [None; BodySegment::LEAVES.len()],
         };
         Self { skeleton, joints, started: false }
     }
@@ -108,8 +108,8 @@ impl Follower {
         if !self.started {
             self.start(trackers, first);
         }
-        self.joints.shown = BodySegment::EXTREMITIES.map(|end| {
-            let tracker = trackers.iter().find(|tracker| tracker.segment == end)?;
+        self.joints.shown = BodySegment::LEAVES.map(|leaf| {
+            let tracker = trackers.iter().find(|tracker| tracker.segment == leaf)?;
             Some(tracker.room_from_sensor.rotation * tracker.segment_from_sensor.rotation.inverse())
         });
         let before = self.joints;
@@ -138,8 +138,10 @@ impl Follower {
         }
         // Without its tracker it stays as it is against its parent.
         let all = self.joints.orientations();
-        for (end, segment) in self.joints.ends.iter_mut().zip(BodySegment::EXTREMITIES) {
-            *end = all[above(segment).index()].inverse() * all[segment.index()];
+        for (k, segment) in BodySegment::LEAVES.into_iter().enumerate() {
+            if self.joints.shown[k].is_some() {
+                self.joints.leaves[k] = all[above(segment).index()].inverse() * all[segment.index()];
+            }
         }
         Some(self.figure(trackers))
     }
@@ -244,8 +246,8 @@ impl Joints {
         for (segment, parent, angles) in hinges {
             all[segment.index()] = all[parent.index()] * joint_rotation(segment, angles);
         }
-        for (k, segment) in BodySegment::EXTREMITIES.into_iter().enumerate() {
-            all[segment.index()] = self.shown[k].unwrap_or(all[above(segment).index()] * self.ends[k]);
+        for (k, segment) in BodySegment::LEAVES.into_iter().enumerate() {
+            all[segment.index()] = self.shown[k].unwrap_or(all[above(segment).index()] * self.leaves[k]);
         }
         all
     }

@@ -273,6 +273,11 @@ impl LimbFilter {
         };
     }
 
+    /// From the trunk's sensor to the limb's joint as the movements have shown it, trunk's axes, m.
+    pub(super) fn base_to_joint_m(&self) -> Vector3<f64> {
+        self.geometry.base_to_joint_m
+    }
+
     /// Whether both of its segments wear a sensor.
     pub(super) fn is_whole(&self) -> bool {
         self.whole

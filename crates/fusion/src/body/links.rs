@@ -4,8 +4,8 @@
 //! tilt, and never turns what a field identifies: that holds what hangs on it.
 //!
 //! Two segments that meet in a joint feel one acceleration there: carried from both sensors to the joint, the level parts of the two
-//! specific forces differ by the angle between their headings. And people do not stand twisted: spine, neck, wrists, ankles, hips and shoulders
-//! are turned about the vertical to both sides alike, some more, some less. One Kalman filter has the error of each heading and the two things by which
+//! specific forces differ by the angle between their headings. And people do not stand twisted: spine, neck, wrists, ankles, hips, shoulders and
+//! collar bones are turned about the vertical to both sides alike, some more, some less. One Kalman filter has the error of each heading and the two things by which
 //! it drifts, what is left of the gyro's bias and the error of its scale; both say what two of them differ by.
 
 use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
@@ -20,7 +20,7 @@ use crate::ahrs::CALIBRATED_HEADING_RAD;
 
 /// Headings: those of [`ALONE`], each by its own sensor, and of the limbs, whose two segments a hinge holds together.
 pub(super) const UNITS: usize = ALONE.len() + 4;
-const ALONE: [BodySegment; 7] = [
+const ALONE: [BodySegment; 9] = [
     BodySegment::Torso,
     BodySegment::Pelvis,
     BodySegment::Head,
@@ -28,6 +28,8 @@ const ALONE: [BodySegment; 7] = [
     BodySegment::FootR,
     BodySegment::HandL,
     BodySegment::FootL,
+    BodySegment::ShoulderR,
+    BodySegment::ShoulderL,
 ];
 /// States: all errors, rad, then all rates of drift, rad/s, then all errors of scale, which drift as the segment turns.
 const STATES: usize = 3 * UNITS;
@@ -65,7 +67,7 @@ const fn link(below: BodySegment, place_m: f64, twist_rad: f64, twist_s: f64) ->
     Link { below, place_m, twist_rad, twist_s }
 }
 
-pub(super) const LINKS: [Link; 10] = [
+pub(super) const LINKS: [Link; 12] = [
     link(BodySegment::Torso, 0.1, 0.15, 10.0),
     link(BodySegment::Head, 0.05, 0.4, 10.0),
     link(BodySegment::HandR, 0.03, 0.3, 10.0),
@@ -76,6 +78,8 @@ pub(super) const LINKS: [Link; 10] = [
     link(BodySegment::ThighL, 0.03, 0.25, 20.0),
     link(BodySegment::UpperArmR, 0.05, 0.8, 20.0),
     link(BodySegment::UpperArmL, 0.05, 0.8, 20.0),
+    link(BodySegment::ShoulderR, 0.05, 0.15, 10.0),
+    link(BodySegment::ShoulderL, 0.05, 0.15, 10.0),
 ];
 
 /// Which of the headings is the segment's.

@@ -7,7 +7,8 @@
 //!
 //! ```text
 //! torso, pelvis:  sensor ──> ahrs ────────────────────────────> segment orientation, and the base of its limbs
-//! extremities:    sensor ──> ahrs ────────────────────────────> segment orientation
+//! leaves:         sensor ──> ahrs ────────────────────────────> segment orientation
+//!                 (head, hands, feet, shoulders; a shoulder moves the joint of its arm)
 //! half a limb:    sensor ──> ahrs ────────────────────────────> segment orientation
 //! limbs:          sensor ──> ahrs ── heading only ──┐
 //!                 sensor ── gyro, accelerometer ────┴> limb ──> joint angles ──> segment orientations
@@ -26,6 +27,9 @@ mod block;
 mod calibrate;
 #[cfg(test)]
 mod few_tests;
+mod girdle;
+#[cfg(test)]
+mod girdle_tests;
 mod guide;
 #[cfg(test)]
 mod guide_tests;
@@ -357,12 +361,13 @@ impl BodyFilter {
         let orientations =
             self.sensors.each_ref().map(|sensor| sensor.as_ref().and_then(Sensor::orientation));
         let bases = [BodySegment::Torso, BodySegment::Pelvis].map(|trunk| self.base(trunk, samples));
-        for (limb, filter) in Limb::ALL.into_iter().zip(&mut self.limbs) {
-            let [trunk, upper, lower] = limb.segments();
+        let hung = Limb::ALL.map(|limb| self.hung(limb, &bases[limb.segments()[0].index()], samples));
+        for ((limb, filter), base) in Limb::ALL.into_iter().zip(&mut self.limbs).zip(&hung) {
+            let [_, upper, lower] = limb.segments();
             let sensors = [&self.sensors[upper.index()], &self.sensors[lower.index()]];
             let own = [orientations[upper.index()], orientations[lower.index()]];
             let pair = [samples[upper.index()], samples[lower.index()]];
-            let reports = filter.push(&bases[trunk.index()], sensors, own, pair, dt_s);
+            let reports = filter.push(base, sensors, own, pair, dt_s);
             for (which, segment) in [upper, lower].into_iter().enumerate() {
                 if let Some(sensor) = &mut self.sensors[segment.index()] {
                     filter.refine(which, &mut sensor.mount);

@@ -9,10 +9,10 @@ use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
 /// Body segments: the length of all arrays over them.
-pub const SEGMENTS: usize = 15;
+pub const SEGMENTS: usize = 17;
 
-/// One of the rigid bodies: the ten of Weber et al. (2011), then what ends the chains. Axes of each in the N-pose: x forward, y up, z to the
-/// right; the origin of a limb's segment, of the head, of hands and feet is the joint above it.
+/// One of the rigid bodies: the ten of Weber et al. (2011), then what ends the chains, then the shoulders. Axes of each in the N-pose: x forward, y up, z to the
+/// right; the origin of a limb's segment, of the head, of hands and feet, and of shoulders is the joint above it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, Plain)]
 pub enum BodySegment {
     /// Chest and everything that moves with it.
@@ -45,6 +45,10 @@ pub enum BodySegment {
     HandL,
     /// Left foot.
     FootL,
+    /// Right collar bone and shoulder blade, as one.
+    ShoulderR,
+    /// Left collar bone and shoulder blade, as one.
+    ShoulderL,
 }
 
 impl BodySegment {
@@ -65,10 +69,22 @@ impl BodySegment {
         Self::FootR,
         Self::HandL,
         Self::FootL,
+        Self::ShoulderR,
+        Self::ShoulderL,
     ];
 
-    /// What ends the chains of the others. No limb's filter knows them: each goes by its own sensor, and hangs straight without one.
+    /// How many of [`Self::ALL`] come before the shoulders, which few people wear sensors on: where nobody does, messages and tables have so many.
+    pub const BEFORE_SHOULDERS: usize = SEGMENTS - Self::SHOULDERS.len();
+
+    /// What ends the chains of the others.
     pub const EXTREMITIES: [Self; 5] = [Self::Head, Self::HandR, Self::FootR, Self::HandL, Self::FootL];
+
+    /// What the arms hang on: it moves where they begin, and no arm is turned against it, but against the torso.
+    pub const SHOULDERS: [Self; 2] = [Self::ShoulderR, Self::ShoulderL];
+
+    /// The leaves of the tree of segments that no limb's filter knows: each goes by its own sensor, and with its parent without one.
+    pub const LEAVES: [Self; 7] =
+        [Self::Head, Self::HandR, Self::FootR, Self::HandL, Self::FootL, Self::ShoulderR, Self::ShoulderL];
 
     /// Of the arms, hands included.
     pub const ARMS: [Self; 6] =
@@ -96,6 +112,8 @@ impl BodySegment {
             Self::FootR => "foot_r",
             Self::HandL => "hand_l",
             Self::FootL => "foot_l",
+            Self::ShoulderR => "shoulder_r",
+            Self::ShoulderL => "shoulder_l",
         }
     }
 
@@ -104,17 +122,18 @@ impl BodySegment {
         Self::ALL.into_iter().find(|segment| segment.name() == name)
     }
 
-    /// Its place in arrays over segments, from 0 to 14, in the order of [`Self::ALL`].
+    /// Its place in arrays over segments, from 0 to 16, in the order of [`Self::ALL`].
     pub fn index(self) -> usize {
         self as usize
     }
 
-    /// The segment it hangs on; `None` for the pelvis, the root of the body.
+    /// The segment that it is turned against; `None` for the pelvis, the root of the body.
     pub fn parent(self) -> Option<Self> {
         match self {
             Self::Pelvis => None,
             Self::Torso | Self::ThighR | Self::ThighL => Some(Self::Pelvis),
             Self::UpperArmR | Self::UpperArmL | Self::Head => Some(Self::Torso),
+            Self::ShoulderR | Self::ShoulderL => Some(Self::Torso),
             Self::ForearmR => Some(Self::UpperArmR),
             Self::ForearmL => Some(Self::UpperArmL),
             Self::ShankR => Some(Self::ThighR),
@@ -123,6 +142,15 @@ impl BodySegment {
             Self::HandL => Some(Self::ForearmL),
             Self::FootR => Some(Self::ShankR),
             Self::FootL => Some(Self::ShankL),
+        }
+    }
+
+    /// The shoulder that an upper arm hangs on; `None` of all other segments.
+    pub fn shoulder(self) -> Option<Self> {
+        match self {
+            Self::UpperArmR => Some(Self::ShoulderR),
+            Self::UpperArmL => Some(Self::ShoulderL),
+            _ => None,
         }
     }
 
@@ -142,6 +170,8 @@ impl BodySegment {
             Self::ShankL => Self::ShankR,
             Self::FootR => Self::FootL,
             Self::FootL => Self::FootR,
+            Self::ShoulderR => Self::ShoulderL,
+            Self::ShoulderL => Self::ShoulderR,
         }
     }
 
@@ -149,10 +179,10 @@ impl BodySegment {
     pub fn side(self) -> f64 {
         match self {
             Self::Torso | Self::Pelvis | Self::Head => 0.0,
-            Self::UpperArmR | Self::ForearmR | Self::ThighR | Self::ShankR | Self::HandR | Self::FootR => 1.0,
-            Self::UpperArmL | Self::ForearmL | Self::ThighL | Self::ShankL | Self::HandL | Self::FootL => {
-                -1.0
-            }
+            Self::UpperArmR | Self::ForearmR | Self::ThighR | Self::ShankR => 1.0,
+            Self::HandR | Self::FootR | Self::ShoulderR => 1.0,
+            Self::UpperArmL | Self::ForearmL | Self::ThighL | Self::ShankL => -1.0,
+            Self::HandL | Self::FootL | Self::ShoulderL => -1.0,
         }
     }
 }
@@ -194,6 +224,9 @@ impl Limb {
         }
     }
 }
+
+/// From the middle to the root of a shoulder, of half the distance between the arms' joints.
+pub(super) const SHOULDER_ROOT: f64 = 0.14;
 
 /// Lengths of a body, m: rigid segments with fixed joint centres.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]
@@ -243,7 +276,8 @@ impl Skeleton {
         }
     }
 
-    /// The joint between a segment and its parent, in the parent's frame, m; zero for the pelvis, which has none.
+    /// The joint between a segment and its parent, in the parent's frame, m; zero for the pelvis, which has none. That of an upper arm is where it is while the shoulder
+    /// goes with the torso.
     pub fn joint_in_parent_m(&self, segment: BodySegment) -> Vector3<f64> {
         let side = segment.side();
         match segment {
@@ -257,6 +291,9 @@ impl Skeleton {
             BodySegment::Head => Vector3::new(0.0, 0.5 * self.trunk_m, 0.0),
             BodySegment::HandR | BodySegment::HandL => Vector3::new(0.0, -self.forearm_m, 0.0),
             BodySegment::FootR | BodySegment::FootL => Vector3::new(0.0, -self.shank_m, 0.0),
+            BodySegment::ShoulderR | BodySegment::ShoulderL => {
+                Vector3::new(0.0, 0.5 * self.trunk_m, side * SHOULDER_ROOT * self.shoulder_half_m)
+            }
         }
     }
 
@@ -270,7 +307,7 @@ impl Skeleton {
     }
 
     /// The segment's far end in its own frame, m: shoulders' mid-point (torso), elbow, wrist, knee, ankle, top of the
-    /// head, finger tips, tip of the toes; zero for the pelvis.
+    /// head, finger tips, tip of the toes, the arm's joint (shoulder); zero for the pelvis.
     pub fn end_in_segment_m(&self, segment: BodySegment) -> Vector3<f64> {
         match segment {
             BodySegment::Torso => Vector3::new(0.0, 0.5 * self.trunk_m, 0.0),
@@ -282,11 +319,14 @@ impl Skeleton {
             BodySegment::Head => Vector3::new(0.0, self.head_m, 0.0),
             BodySegment::HandR | BodySegment::HandL => Vector3::new(0.0, -self.hand_m, 0.0),
             BodySegment::FootR | BodySegment::FootL => Vector3::new(self.toes_m, -self.foot_m, 0.0),
+            BodySegment::ShoulderR | BodySegment::ShoulderL => {
+                Vector3::z() * (segment.side() * (1.0 - SHOULDER_ROOT) * self.shoulder_half_m)
+            }
         }
     }
 
     /// Where a sensor counts as sitting if that is not given, segment frame, m: in the middle of a limb's segment, half
-    /// way to the end of head, hand and foot, at the origin of the trunk's.
+    /// way to the end of head, hand, foot and shoulder, at the origin of the trunk's.
     pub fn usual_sensor_m(&self, segment: BodySegment) -> Vector3<f64> {
         0.5 * self.joint_in_segment_m(segment) + 0.5 * self.end_in_segment_m(segment)
     }
@@ -322,12 +362,18 @@ impl Skeleton {
         pelvis_m: Vector3<f64>,
     ) -> [Vector3<f64>; SEGMENTS] {
         let mut origins = [pelvis_m; SEGMENTS];
-        // Parents first: the pelvis, then the torso, then the limbs from above.
+        // Parents first: the pelvis, then the torso, then shoulders and limbs from above.
         for segment in Self::PARENTS_FIRST {
             if let Some(parent) = segment.parent() {
                 origins[segment.index()] = origins[parent.index()]
                     + orientations[parent.index()] * self.joint_in_parent_m(segment)
                     - orientations[segment.index()] * self.joint_in_segment_m(segment);
+            }
+            if let Some(shoulder) = segment.shoulder() {
+                // Nothing where the shoulder goes with the torso.
+                let girdle_m = self.end_in_segment_m(shoulder);
+                origins[segment.index()] += orientations[shoulder.index()] * girdle_m
+                    - orientations[BodySegment::Torso.index()] * girdle_m;
             }
         }
         origins
@@ -351,10 +397,12 @@ impl Skeleton {
         Vector3::new(0.0, 0.0, self.foot_m - right.z.min(left.z))
     }
 
-    /// All segments, each after its parent.
+    /// All segments, each after its parent, and arms after the shoulders that they hang on.
     pub const PARENTS_FIRST: [BodySegment; SEGMENTS] = [
         BodySegment::Pelvis,
         BodySegment::Torso,
+        BodySegment::ShoulderR,
+        BodySegment::ShoulderL,
         BodySegment::UpperArmR,
         BodySegment::ForearmR,
         BodySegment::UpperArmL,

@@ -178,6 +178,11 @@ fn derivative(segment: BodySegment, q_parent_segment: &UnitQuaternion<f64>) -> S
             [last * about(x, -b) * z * sign, last * x, y]
         }
         BodySegment::ShankR | BodySegment::ShankL => [-z, x, y],
+        BodySegment::ShoulderR | BodySegment::ShoulderL => {
+            let [_, b, c, ..] = angles;
+            let last = about(z, -c);
+            [last * about(x, b) * y, last * -x, z]
+        }
     };
     let Some(inverse) = Matrix3::from_columns(&axes)
         .try_inverse()

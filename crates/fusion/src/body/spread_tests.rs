@@ -4,7 +4,7 @@ use posed_simulator::body::{Activity, Wearer, WearerSpec};
 
 use super::block::BlockKind;
 use super::calibrate::calibrate;
-use super::tests::{UNKNOWN, blocks, record, script, spec};
+use super::tests::{FIFTEEN, UNKNOWN, blocks, exactly, fifteen, record, script, spec};
 use super::*;
 
 /// How a body's sensors are known to sit.
@@ -47,10 +47,7 @@ fn joints_nees(
             let skeleton = Skeleton::from_height(1.8);
             let (recording, truth) = record(&mut wearer, until_s);
             let mounts = match known {
-                Known::Exactly => BodySegment::ALL.map(|segment| {
-                    let (mount, offset_m) = wearer.mounting(segment.index());
-                    Some(SensorMount::exact(mount, offset_m))
-                }),
+                Known::Exactly => exactly(&FIFTEEN, &wearer),
                 Known::ByCalibration { quick, .. } => {
                     let mut blocks = blocks(*activity);
                     blocks
@@ -65,7 +62,7 @@ fn joints_nees(
                     continue;
                 }
                 let expected = angles(&truth.map(Some));
-                for segment in BodySegment::ALL.into_iter().filter(|segment| segment.parent().is_some()) {
+                for segment in fifteen().filter(|segment| segment.parent().is_some()) {
                     let (n, range) = (independent(segment), of_joint(segment));
                     // Where two axes of a sequence fall together no covariance states what the angles are.
                     if estimate.spread.sigma_rad[range.start..range.start + n]

@@ -59,7 +59,7 @@ fn angles_come_back_from_the_poses_by_hand() {
 
 #[test]
 fn kinds_of_calibration_are_found_by_their_names() {
-    for name in ["n_pose", "t_pose", "bow", "elbow_pronation_l", "hip_rotation_r", "shoulder_abduction_l"] {
+    for name in ["n_pose", "t_pose", "bow", "elbow_pronation_l", "hip_rotation_r", "shrug_l"] {
         assert_eq!(BlockKind::named(name).unwrap().name(), name);
     }
     assert_eq!(BlockKind::named("knee_pronation_r"), None);
@@ -109,18 +109,55 @@ pub(super) fn script(activity: Activity) -> Script {
 
 pub(super) type Orientations = [UnitQuaternion<f64>; SEGMENTS];
 
+/// Which segments wear a sensor where nothing else is said: all but the shoulders.
+pub(super) const FIFTEEN: [bool; SEGMENTS] = {
+    let mut worn = [true; SEGMENTS];
+    worn[BodySegment::ShoulderR as usize] = false;
+    worn[BodySegment::ShoulderL as usize] = false;
+    worn
+};
+
+/// These segments.
+pub(super) fn fifteen() -> impl Iterator<Item = BodySegment> {
+    BodySegment::ALL.into_iter().take(BodySegment::BEFORE_SHOULDERS)
+}
+
 pub(super) fn record(wearer: &mut Wearer, seconds: f64) -> (Vec<Recorded>, Vec<Orientations>) {
+    record_of(&FIFTEEN, wearer, seconds)
+}
+
+/// What the sensors on these segments measure.
+pub(super) fn record_of(
+    present: &[bool; SEGMENTS],
+    wearer: &mut Wearer,
+    seconds: f64,
+) -> (Vec<Recorded>, Vec<Orientations>) {
     (0..(seconds * wearer.rate_hz()) as usize)
         .map(|_| {
             let (samples, truth) = wearer.step();
-            ((truth.t_s, worn(samples)), truth.body.map(|p| p.orientation()))
+            ((truth.t_s, worn_of(present, samples)), truth.body.map(|p| p.orientation()))
         })
         .unzip()
 }
 
-/// What all sensors measure, for the filter.
+/// What fifteen sensors measure, for the filter.
 pub(super) fn worn(samples: [Sample; SEGMENTS]) -> BodySamples {
-    samples.map(|s| Some(ImuSample { gyro_rad_s: s.gyro_rad_s, accel_m_s2: s.accel_m_s2, mag: s.mag_ut }))
+    worn_of(&FIFTEEN, samples)
+}
+
+pub(super) fn worn_of(present: &[bool; SEGMENTS], samples: [Sample; SEGMENTS]) -> BodySamples {
+    BodySegment::ALL.map(|segment| {
+        let Sample { gyro_rad_s, accel_m_s2, mag_ut } = samples[segment.index()];
+        present[segment.index()].then_some(ImuSample { gyro_rad_s, accel_m_s2, mag: mag_ut })
+    })
+}
+
+/// How the sensors on these segments sit.
+pub(super) fn exactly(present: &[bool; SEGMENTS], wearer: &Wearer) -> [Option<SensorMount>; SEGMENTS] {
+    BodySegment::ALL.map(|segment| {
+        let (q_segment_sensor, offset_m) = wearer.mounting(segment.index());
+        present[segment.index()].then(|| SensorMount::exact(q_segment_sensor, offset_m))
+    })
 }
 
 pub(super) fn blocks(activity: Activity) -> Vec<Block> {
@@ -162,7 +199,8 @@ fn a_body_is_calibrated_and_followed() {
         let begin_s = script(activity).activity_s();
         let (mut recording, truth) = record(&mut wearer, begin_s + 15.0);
         // Without magnetometers each of them needs a movement that this script does not have.
-        let worn = BodySegment::ALL.map(|s| magnetometer || !BodySegment::EXTREMITIES.contains(&s));
+        let worn = BodySegment::ALL
+            .map(|s| if magnetometer { FIFTEEN[s.index()] } else { !BodySegment::LEAVES.contains(&s) });
         for (_, samples) in &mut recording {
             samples.iter_mut().zip(worn).filter(|(_, worn)| !worn).for_each(|(sample, _)| *sample = None);
         }
@@ -218,10 +256,7 @@ fn reaching(seed: u64) -> (BodyFilter, Wearer) {
 /// A person who begins with that, and a filter that knows how the sensors sit.
 pub(super) fn mounted(activity: Activity, seed: u64) -> (BodyFilter, Wearer) {
     let wearer = wearer_of(Script { activity, calibration: false, facing: 0.6, mistake: None }, true, seed);
-    let mounts = BodySegment::ALL.map(|segment| {
-        let (q_segment_sensor, offset_m) = wearer.mounting(segment.index());
-        Some(SensorMount::exact(q_segment_sensor, offset_m))
-    });
+    let mounts = exactly(&FIFTEEN, &wearer);
     (BodyFilter::new(&Skeleton::from_height(1.8), &mounts, &BodyParams::default()), wearer)
 }
 
@@ -444,20 +479,19 @@ fn trackers_alone_show_the_limbs_between_them() {
 fn headings_begin_anew_from_who_looks_ahead() {
     let script = Script { activity: Activity::Poses, calibration: false, facing: 0.6, mistake: None };
     let mut wearer = wearer_of(script, false, 4);
-    let mounts = BodySegment::ALL.map(|segment| {
-        let (q_segment_sensor, offset_m) = wearer.mounting(segment.index());
-        let heading_rad = Some(0.4 * segment.index() as f64);
-        Some(SensorMount { heading_rad, ..SensorMount::exact(q_segment_sensor, offset_m) })
-    });
+    let mut mounts = exactly(&FIFTEEN, &wearer);
+    for (index, mount) in mounts.iter_mut().enumerate() {
+        *mount = mount.map(|mount| SensorMount { heading_rad: Some(0.4 * index as f64), ..mount });
+    }
     let mut filter = BodyFilter::new(&Skeleton::from_height(1.8), &mounts, &BodyParams::default());
     let mut worst_deg = |filter: &mut BodyFilter, seconds: f64| {
         let (recording, truth) = record(&mut wearer, seconds);
         recording.iter().for_each(|(_, samples)| _ = filter.push(samples, 0.01));
         let (found, truth) = (filter.estimate().orientations, truth.last().unwrap());
-        let off = |(found, truth): (&Option<UnitQuaternion<f64>>, &UnitQuaternion<f64>)| {
-            found.unwrap().angle_to(truth).to_degrees()
+        let off = |segment: BodySegment| {
+            found[segment.index()].unwrap().angle_to(&truth[segment.index()]).to_degrees()
         };
-        found.iter().zip(truth).map(off).fold(0.0, f64::max)
+        fifteen().map(off).fold(0.0, f64::max)
     };
     assert!(worst_deg(&mut filter, 1.0) > 30.0);
     assert!(filter.reset_heading(&[true; SEGMENTS], 0.6));

@@ -3,7 +3,7 @@
 //! In: a [`Skeleton`] and the orientations of its segments. Out: orientations and joint centres of pelvis, four pieces of the spine, neck and head,
 //! shoulders, arms, hands, legs, feet and toes, as in MVN (names, order and parents). It measures nothing: what lies between two segments follows from
 //! them. The bend between pelvis and chest is shared out over the spine in proportion to its pieces' lengths; the neck takes half of what the head is
-//! turned against the chest; shoulders go with the chest; the toes stay on the floor while the heel rises.
+//! turned against the chest; the toes stay on the floor while the heel rises.
 //!
 //! Joint centres are those of [`Skeleton::origins_m`] but for what hangs on a bent spine: the ten-segment trunk is one straight line, this one is an arc of
 //! the same length.
@@ -12,7 +12,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::angles::joint_angles;
 use super::calibrate::posture;
-use super::skeleton::{BodySegment, SEGMENTS, Skeleton, upright};
+use super::skeleton::{BodySegment, SEGMENTS, SHOULDER_ROOT, Skeleton, upright};
 use posed_geometry::so3::{exp, log};
 
 /// Length of arrays over [`WholeSegment`].
@@ -187,9 +187,9 @@ impl WholeSegment {
             W::UpperLegL => BodySegment::ThighL,
             W::LowerLegL => BodySegment::ShankL,
             W::FootL => BodySegment::FootL,
-            W::L5 | W::L3 | W::T12 | W::Neck | W::ShoulderR | W::ShoulderL | W::ToeR | W::ToeL => {
-                return None;
-            }
+            W::ShoulderR => BodySegment::ShoulderR,
+            W::ShoulderL => BodySegment::ShoulderL,
+            W::L5 | W::L3 | W::T12 | W::Neck | W::ToeR | W::ToeL => return None,
         })
     }
 }
@@ -204,8 +204,6 @@ const NECK_BEND: f64 = 0.5;
 /// Above the height of the shoulders: C7, and C1, of the length from there to the top of the head.
 const C7: f64 = 0.036 / 0.182;
 const C1: f64 = 0.091 / 0.182;
-/// From the middle to the root of a shoulder, of half the distance between the shoulders.
-const ROOT: f64 = 0.14;
 /// From the ankle to the ball of the foot along the floor, of the way to the toes' tip, and its height, of the ankle's.
 const BALL: f64 = 0.776;
 const BALL_HEIGHT: f64 = 0.23;
@@ -224,9 +222,12 @@ impl Skeleton {
             W::Neck => up((1.0 - SPINE[3]) * self.trunk_m + C7 * self.head_m),
             W::Head => up((C1 - C7) * self.head_m),
             W::ShoulderR | W::ShoulderL => {
-                up((1.0 - SPINE[3]) * self.trunk_m) + Vector3::z() * (side * ROOT * self.shoulder_half_m)
+                up((1.0 - SPINE[3]) * self.trunk_m)
+                    + Vector3::z() * (side * SHOULDER_ROOT * self.shoulder_half_m)
             }
-            W::UpperArmR | W::UpperArmL => Vector3::z() * (side * (1.0 - ROOT) * self.shoulder_half_m),
+            W::UpperArmR | W::UpperArmL => {
+                Vector3::z() * (side * (1.0 - SHOULDER_ROOT) * self.shoulder_half_m)
+            }
             W::ForearmR | W::ForearmL => up(-self.upper_arm_m),
             W::HandR | W::HandL => up(-self.forearm_m),
             W::UpperLegR | W::UpperLegL => Vector3::z() * (side * self.hip_half_m),
@@ -279,7 +280,6 @@ pub fn whole(orientations: &[UnitQuaternion<f64>; SEGMENTS]) -> [UnitQuaternion<
             W::L3 => bent(BEND[0] + BEND[1]),
             W::T12 => bent(BEND[0] + BEND[1] + BEND[2]),
             W::Neck => torso * exp(&(nod * NECK_BEND)),
-            W::ShoulderR | W::ShoulderL => torso,
             W::ToeR => toes(&of(BodySegment::FootR)),
             W::ToeL => toes(&of(BodySegment::FootL)),
             _ => segment.measured_as().map_or(pelvis, of),
@@ -300,16 +300,20 @@ const INNER: [(&str, WholeSegment, [BodySegment; 2]); 8] = [
     ("ball_l", W::ToeL, [BodySegment::FootL; 2]),
 ];
 
+/// Those between a shoulder and its arm, by the arm; [`super::angles()`] has the arm against the torso.
+const GLENOHUMERAL: [(&str, BodySegment); 2] =
+    [("glenohumeral_r", BodySegment::UpperArmR), ("glenohumeral_l", BodySegment::UpperArmL)];
+
 /// Angles of the joints of the 23 which no sensor shows by itself: of the spine's, flexion, lateral and rotation as those of `spine`; of the ball of a foot its
-/// flexion, positive where the toes bend up. Names and angles, rad; `None` where a segment that it follows from is not `shown`, by [`BodySegment::index`].
-/// The joint of a shoulder's girdle does not move here, and has none; all other joints are those of [`super::angles()`].
+/// flexion, positive where the toes bend up; of arms below a shoulder that is `shown` those against the shoulder, as the arm's against the torso. Names and angles, rad; `None` where a segment that it follows from is not `shown`, by [`BodySegment::index`].
+/// All other joints are those of [`super::angles()`].
 pub fn inner_angles(
     orientations: &[UnitQuaternion<f64>; SEGMENTS],
     shown: &[bool; SEGMENTS],
 ) -> impl Iterator<Item = (&'static str, &'static str, Option<f64>)> + use<> {
     let all = whole(orientations);
     let shown = *shown;
-    INNER.into_iter().flat_map(move |(joint, segment, from)| {
+    let inner = INNER.into_iter().flat_map(move |(joint, segment, from)| {
         let above = segment.parent().map_or(0, WholeSegment::index);
         let rotation = all[above].inverse() * all[segment.index()];
         let known = from.iter().all(|from| shown[from.index()]);
@@ -320,7 +324,18 @@ pub fn inner_angles(
             [("flexion", if ball { -flexion } else { flexion }), ("lateral", lateral), ("rotation", turn)];
         let count = if ball { 1 } else { 3 };
         of.into_iter().take(count).map(move |(angle, value)| (joint, angle, known.then_some(value)))
-    })
+    });
+    let arms = GLENOHUMERAL.into_iter().filter(move |(_, arm)| {
+        arm.shoulder().is_some_and(|shoulder| shown[shoulder.index()]) && shown[arm.index()]
+    });
+    inner.chain(arms.flat_map(move |(joint, below)| {
+        let arm = if below.side() > 0.0 { W::UpperArmR } else { W::UpperArmL };
+        let above = arm.parent().map_or(0, WholeSegment::index);
+        let rotation = all[above].inverse() * all[arm.index()];
+        let [plane, elevation, rotation, ..] = joint_angles(below, &rotation);
+        [("plane", plane), ("elevation", elevation), ("rotation", rotation)]
+            .map(|(angle, value)| (joint, angle, Some(value)))
+    }))
 }
 
 /// Toes of a foot that rolls over its ball stay level; of any other they go with it.
@@ -371,12 +386,12 @@ mod tests {
         };
         assert!((end(W::Head).z - 1.8).abs() < 1e-9, "{}", end(W::Head));
         assert!(end(W::ToeR).z.abs() < 1e-9 && end(W::ToeL).z.abs() < 1e-9);
-        // Upright it is the body of fifteen.
-        let fifteen = skeleton.origins_m(&body(&[]), Vector3::new(0.0, 0.0, 0.53 * 1.8));
+        // Upright it is the body of those that can wear a sensor.
+        let measured = skeleton.origins_m(&body(&[]), Vector3::new(0.0, 0.0, 0.53 * 1.8));
         for segment in WholeSegment::ALL {
             let Some(as_measured) = segment.measured_as() else { continue };
             if !matches!(segment, W::T8 | W::Head) {
-                let off_m = (origins[segment.index()] - fifteen[as_measured.index()]).norm();
+                let off_m = (origins[segment.index()] - measured[as_measured.index()]).norm();
                 assert!(off_m < 1e-9, "{segment:?} {off_m}");
             }
         }
@@ -420,7 +435,7 @@ mod tests {
         assert!(sum(&["ball_r"], "flexion", &shown).unwrap().abs() < 1e-9);
         shown[BodySegment::Pelvis.index()] = false;
         assert_eq!(sum(&spine, "flexion", &shown), None);
-        assert_eq!(inner_angles(&bent, &shown).count(), 20);
+        assert_eq!(inner_angles(&bent, &shown).count(), 26);
     }
 
     #[test]

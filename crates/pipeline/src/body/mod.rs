@@ -111,6 +111,7 @@ impl BodyStage {
                 is_turn_known: rotation.is_some(),
             });
         }
+        let segments = wearers.segments().len();
         let imus = wearers.imus;
         let field = all_have_field(stage, &imus);
         let solver = if imus.iter().any(Option::is_some) {
@@ -138,7 +139,7 @@ impl BodyStage {
             solver,
             start_m: Vector3::from([start_x_m, start_y_m, 0.0]),
             pelvis_m: None,
-            out: Body::unknown(index, SEGMENTS),
+            out: Body::unknown(index, segments),
         }))
     }
 
@@ -310,6 +311,11 @@ impl BodyStage {
         (self.out.segments.iter().any(|segment| segment.state != SegmentState::Missing)).then_some(&self.out)
     }
 
+    /// The segments that its bodies have, in their order.
+    pub(super) fn segments(&self) -> &'static [BodySegment] {
+        &BodySegment::ALL[..self.out.segments.len()]
+    }
+
     /// The IMU on each segment, as far as it is known by now.
     pub(super) fn imus(&self) -> &[Option<SensorIndex>; SEGMENTS] {
         self.epochs.imus()
@@ -323,7 +329,7 @@ impl BodyStage {
     /// What is wrong with the sensors on it.
     pub(super) fn faults(&self) -> impl Iterator<Item = (SensorIndex, &'static str, Cause)> {
         let ill = |segment: BodySegment| {
-            let fault = self.out.segments[segment.index()].fault?;
+            let fault = self.out.segments.get(segment.index())?.fault?;
             Some((self.wearing[segment.index()]?, segment.name(), fault))
         };
         BodySegment::ALL.into_iter().filter_map(ill)
@@ -411,7 +417,7 @@ impl BodyStage {
         self.out.heading = Heading::Field;
         self.out.heading_sigma_rad = Some(TRACKED_RAD);
         self.out.angles_rad = angles(&figure.orientations.map(Some));
-        for segment in BodySegment::ALL {
+        for (segment, out) in BodySegment::ALL.into_iter().zip(&mut self.out.segments) {
             let index = segment.index();
             let seen = self.tracked.iter().any(|tracked| tracked.segment == segment);
             let tracked = self.trackers.iter().any(|tracker| tracker.segment == segment);
@@ -420,7 +426,7 @@ impl BodyStage {
                 (false, true) => (SegmentState::Suspect, Some(Cause::Missing)),
                 (false, false) => (SegmentState::Inferred, None),
             };
-            self.out.segments[index] = SegmentEstimate {
+            *out = SegmentEstimate {
                 state,
                 fault,
                 sensor: self.wearing[index],
@@ -430,7 +436,7 @@ impl BodyStage {
                 learnt: None,
             };
         }
-        for segment in BodySegment::ALL {
+        for segment in BodySegment::ALL.into_iter().take(self.out.segments.len()) {
             let Some(parent) = segment.parent() else { continue };
             let of = |segment: BodySegment| self.out.segments[segment.index()].sigma_rad.powi(2);
             let [above, q] = [parent, segment].map(|of| figure.orientations[of.index()]);

@@ -272,6 +272,7 @@ impl<'a> SceneUpdate<'a> {
                 line(joint, top);
             }
             let across = match segment {
+                BodySegment::Torso if body.segments.len() == SEGMENTS => BodySegment::SHOULDERS,
                 BodySegment::Torso => [BodySegment::UpperArmR, BodySegment::UpperArmL],
                 BodySegment::Pelvis => [BodySegment::ThighR, BodySegment::ThighL],
                 _ => [segment; 2],

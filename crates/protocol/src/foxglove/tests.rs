@@ -82,7 +82,7 @@ fn figure() -> Body {
         position_source: PositionSource::Trackers,
         position_sigma_m: Some(0.02),
         contacts: None,
-        segments: BodySegment::ALL.map(segment).into(),
+        segments: BodySegment::ALL.into_iter().take(BodySegment::BEFORE_SHOULDERS).map(segment).collect(),
         angles_rad: [Some(0.5); ANGLES],
         spread: Default::default(),
     }

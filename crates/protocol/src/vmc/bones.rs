@@ -38,6 +38,8 @@ pub(super) fn name(segment: BodySegment) -> &'static str {
         BodySegment::FootR => "RightFoot",
         BodySegment::HandL => "LeftHand",
         BodySegment::FootL => "LeftFoot",
+        BodySegment::ShoulderR => "RightShoulder",
+        BodySegment::ShoulderL => "LeftShoulder",
     }
 }
 
@@ -50,8 +52,8 @@ fn since(rest: UnitQuaternion<f64>, orientation: UnitQuaternion<f64>) -> UnitQua
 /// A segment's place in the room, where a sensor shows it.
 fn shown(body: &Body, segment: BodySegment) -> Option<Isometry3<f64>> {
     let of = body.segments.get(segment.index())?;
-    // Where a head, a hand or a foot is not shown, another program may know better.
-    let guessed = of.sensor.is_none() && BodySegment::EXTREMITIES.contains(&segment);
+    // Where a head, a hand, a foot or a shoulder is not shown, another program may know better.
+    let guessed = of.sensor.is_none() && BodySegment::LEAVES.contains(&segment);
     let good = of.state.is_shown() && !guessed;
     isometry(of.position_m.filter(|_| good)?, of.orientation_wxyz?)
 }
@@ -89,7 +91,8 @@ pub(super) fn of(body: &Body, skeleton: &Skeleton, heading: UnitQuaternion<f64>,
     let mut figure = Figure { heading, scale, bones: Vec::with_capacity(BodySegment::ALL.len()) };
     let mut placed = [None; BodySegment::ALL.len()];
     for segment in Skeleton::PARENTS_FIRST {
-        let parent = segment.parent().map(|parent| placed[parent.index()]);
+        let shoulder = segment.shoulder().and_then(|shoulder| placed[shoulder.index()]);
+        let parent = segment.parent().map(|parent| shoulder.or(placed[parent.index()]));
         let Some(pose) = shown(body, segment).filter(|_| parent != Some(None)) else { continue };
         let joint_m = (pose * Point3::from(skeleton.joint_in_segment_m(segment))).coords;
         let rotation = since(t_pose(segment), pose.rotation);
@@ -108,8 +111,8 @@ fn bone_of(segment: WholeSegment) -> Option<(&'static str, [BodySegment; 2])> {
         W::T12 => ("Chest", [B::Pelvis, B::Torso]),
         W::T8 => ("UpperChest", [B::Pelvis, B::Torso]),
         W::Neck => ("Neck", [B::Torso, B::Head]),
-        W::ShoulderR => ("RightShoulder", [B::Torso; 2]),
-        W::ShoulderL => ("LeftShoulder", [B::Torso; 2]),
+        W::ShoulderR => (name(B::ShoulderR), [B::Torso; 2]),
+        W::ShoulderL => (name(B::ShoulderL), [B::Torso; 2]),
         W::ToeR => ("RightToes", [B::FootR; 2]),
         W::ToeL => ("LeftToes", [B::FootL; 2]),
         _ => {

@@ -68,7 +68,8 @@ fn joints(messages: &BTreeMap<String, Vec<OscType>>) -> [Transform; SEGMENTS] {
     let root = transform(&messages["/VMC/Ext/Root/Pos root"]);
     let mut whole = [root; SEGMENTS];
     for segment in Skeleton::PARENTS_FIRST {
-        let (at, turned) = segment.parent().map_or(root, |parent| whole[parent.index()]);
+        let above = segment.shoulder().or(segment.parent());
+        let (at, turned) = above.map_or(root, |above| whole[above.index()]);
         let (offset, rotation) = bone(segment);
         whole[segment.index()] = (at + turned * offset, turned * rotation);
     }
@@ -110,6 +111,8 @@ fn bones_put_together_are_the_body() {
                 BodySegment::Pelvis => continue,
                 BodySegment::UpperArmR | BodySegment::ForearmR | BodySegment::HandR => Vector3::x(),
                 BodySegment::UpperArmL | BodySegment::ForearmL | BodySegment::HandL => -Vector3::x(),
+                BodySegment::ShoulderR => Vector3::x(),
+                BodySegment::ShoulderL => -Vector3::x(),
                 BodySegment::FootR | BodySegment::FootL => {
                     Vector3::new(0.0, -skeleton.foot_m, skeleton.toes_m).normalize()
                 }
@@ -140,11 +143,15 @@ fn hanging_arms_are_a_quarter_down_and_everything_else_is_at_rest() {
     }
     let (hips, _) = transform(&messages["/VMC/Ext/Bone/Pos Hips"]);
     assert!((hips - Vector3::new(0.4, 0.95, -0.3)).norm() < 1e-6);
-    let (shoulder, _) = transform(&messages["/VMC/Ext/Bone/Pos LeftUpperArm"]);
-    assert!(
-        (shoulder - Vector3::new(-0.129 * 1.8, 0.288 * 1.8, 0.0)).norm() < 1e-6,
-        "left is -x: {shoulder}"
-    );
+    let expected = Vector3::new(-0.129 * 1.8, 0.288 * 1.8, 0.0);
+    let (shoulder, _) = chained(&messages, &["Spine", "LeftShoulder", "LeftUpperArm"]);
+    assert!((shoulder - expected).norm() < 1e-6, "left is -x: {shoulder}");
+    // Arms hang on the spine where no message has shoulders.
+    let mut without = body(&facing_y());
+    without.segments.truncate(BodySegment::BEFORE_SHOULDERS);
+    let messages = received(&mut Publisher::new(&stage, 0, &settings), &without);
+    assert!(!messages.contains_key("/VMC/Ext/Bone/Pos LeftShoulder"));
+    assert!((chained(&messages, &["Spine", "LeftUpperArm"]).0 - expected).norm() < 1e-6);
 }
 
 /// Where a receiver finds a bone that hangs on these, and how it is turned.
@@ -173,7 +180,7 @@ fn an_avatar_that_has_all_bones_holds_chest_head_and_limbs_as_one_of_fewer_does(
         let body = body(&orientations);
         let few = received(&mut Publisher::new(&fewer, 0, &settings), &body);
         let many = received(&mut Publisher::new(&all, 0, &all_settings), &body);
-        assert_eq!(many.len(), few.len() + 7, "chest, upper chest, neck, shoulders, toes");
+        assert_eq!(many.len(), few.len() + 5, "chest, upper chest, neck, toes");
         let origins_m = Skeleton::from_height(1.8).whole_origins_m(
             &whole(&orientations),
             body.segments[BodySegment::Pelvis.index()].position_m.unwrap().into(),
@@ -183,7 +190,7 @@ fn an_avatar_that_has_all_bones_holds_chest_head_and_limbs_as_one_of_fewer_does(
             (vec!["Neck", "Head"], vec!["Head"], WholeSegment::Head),
             (
                 vec!["LeftShoulder", "LeftUpperArm", "LeftLowerArm", "LeftHand"],
-                vec!["LeftUpperArm", "LeftLowerArm", "LeftHand"],
+                vec!["LeftShoulder", "LeftUpperArm", "LeftLowerArm", "LeftHand"],
                 WholeSegment::HandL,
             ),
         ] {

@@ -7,15 +7,13 @@ use nalgebra::UnitQuaternion;
 use super::Frame;
 use super::markers::{MARKERS, points};
 use posed_fusion::body::{
-    ANGLE_NAMES, BodySegment, SEGMENTS, Skeleton, WHOLE, WholeSegment, joint_angles, of_joint, whole,
+    ANGLE_NAMES, BodySegment, Skeleton, WHOLE, WholeSegment, joint_angles, of_joint, whole,
 };
 
 const BLOCK: usize = 512;
 /// First block of the parameters, from 1.
 const PARAMETERS: usize = 2;
 const MM: f64 = 1000.0;
-/// Markers, and a joint's angles above each segment but the pelvis.
-const POINTS: usize = MARKERS.len() + SEGMENTS - 1;
 /// Frames that a word can count.
 const COUNTED: usize = 65_535;
 
@@ -25,15 +23,16 @@ const WORDS: i8 = 2;
 const FLOATS: i8 = 4;
 
 pub(super) fn bytes(skeleton: &Skeleton, rate_hz: f64, frames: &[Frame]) -> Vec<u8> {
+    let joints = joints(frames);
     let mut data = Vec::new();
     for frame in frames {
         for point in points(skeleton, frame) {
             // The last word is the residual; below zero the point would be missing.
             put(&mut data, &[point.x * MM, point.y * MM, point.z * MM, 0.0]);
         }
-        for (parent, segment) in joints() {
+        for (parent, segment) in &joints {
             let q = frame.orientations[parent.index()].inverse() * frame.orientations[segment.index()];
-            let [x, y, z, ..] = joint_angles(segment, &q).map(f64::to_degrees);
+            let [x, y, z, ..] = joint_angles(*segment, &q).map(f64::to_degrees);
             put(&mut data, &[x, y, z, 0.0]);
         }
     }
@@ -52,17 +51,25 @@ pub(super) fn bytes(skeleton: &Skeleton, rate_hz: f64, frames: &[Frame]) -> Vec<
     }
     fill(&mut data);
     // Numbers of blocks take the same room whatever they are.
-    let blocks = parameters(rate_hz, frames.len(), [0; 2]).len() / BLOCK;
+    let angles: Vec<String> = joints.iter().map(|(_, segment)| angles_label(*segment)).collect();
+    let blocks = parameters(rate_hz, frames.len(), &angles, [0; 2]).len() / BLOCK;
     let begin = PARAMETERS + blocks;
-    let mut out = header(rate_hz, frames.len(), begin);
-    out.extend(parameters(rate_hz, frames.len(), [begin, begin + data_blocks]));
+    let mut out = header(rate_hz, frames.len(), MARKERS.len() + angles.len(), begin);
+    out.extend(parameters(rate_hz, frames.len(), &angles, [begin, begin + data_blocks]));
     out.extend(data);
     out
 }
 
-/// Joints by the segments beside them, in the order of [`BodySegment::ALL`].
-fn joints() -> impl Iterator<Item = (BodySegment, BodySegment)> {
-    BodySegment::ALL.into_iter().filter_map(|segment| Some((segment.parent()?, segment)))
+/// Joints by the segments beside them, in the order of [`BodySegment::ALL`]; those of the shoulders where they move.
+fn joints(frames: &[Frame]) -> Vec<(BodySegment, BodySegment)> {
+    let moves = |shoulder: BodySegment| {
+        let torso = BodySegment::Torso.index();
+        frames.iter().any(|frame| frame.orientations[shoulder.index()] != frame.orientations[torso])
+    };
+    let shoulders = BodySegment::SHOULDERS.into_iter().any(moves);
+    let segments = BodySegment::ALL.into_iter();
+    let shown = segments.filter(|segment| shoulders || !BodySegment::SHOULDERS.contains(segment));
+    shown.filter_map(|segment| Some((segment.parent()?, segment))).collect()
 }
 
 /// `hip_r_angles`.
@@ -71,10 +78,10 @@ fn angles_label(segment: BodySegment) -> String {
     format!("{}_angles", name.rsplit_once('_').map_or(name, |(joint, _)| joint))
 }
 
-fn header(rate_hz: f64, frames: usize, data_block: usize) -> Vec<u8> {
+fn header(rate_hz: f64, frames: usize, points: usize, data_block: usize) -> Vec<u8> {
     let mut out = vec![PARAMETERS as u8, 0x50];
     let counted = frames.min(COUNTED) as u16;
-    for word in [POINTS as u16, 0, 1, counted, 0] {
+    for word in [points as u16, 0, 1, counted, 0] {
         out.extend(word.to_le_bytes());
     }
     // A scale below zero says that points are floats.
@@ -87,17 +94,16 @@ fn header(rate_hz: f64, frames: usize, data_block: usize) -> Vec<u8> {
     out
 }
 
-/// The section of parameters; the first blocks of points and rotations are among them.
-fn parameters(rate_hz: f64, frames: usize, [points, rotations]: [usize; 2]) -> Vec<u8> {
+/// The section of parameters; labels of the joints' angles, and the first blocks of points and rotations are among them.
+fn parameters(rate_hz: f64, frames: usize, angles: &[String], [points, rotations]: [usize; 2]) -> Vec<u8> {
     let word = |value: usize| (value as u16).to_le_bytes().to_vec();
     let float = |value: f64| (value as f32).to_le_bytes().to_vec();
     let rate = float(rate_hz);
     let names = WholeSegment::ALL.map(WholeSegment::name);
-    let angles: Vec<String> = joints().map(|(_, segment)| angles_label(segment)).collect();
     let labels: Vec<&str> = MARKERS.into_iter().chain(angles.iter().map(String::as_str)).collect();
     let mut section = Section::default();
     section.group(1, "POINT");
-    section.scalar(1, "USED", WORDS, &word(POINTS));
+    section.scalar(1, "USED", WORDS, &word(labels.len()));
     if frames <= COUNTED {
         section.scalar(1, "FRAMES", WORDS, &word(frames));
     } else {

@@ -255,7 +255,7 @@ fn a_c3d_file_has_what_its_parameters_say() {
     let bytes = c3d::bytes(&animation.skeleton, rate_hz, &frames);
     let word = |at: usize| usize::from(u16::from_le_bytes([bytes[at], bytes[at + 1]]));
     let float = |at: usize| f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
-    assert_eq!((bytes[0], bytes[1], word(2), word(8), bytes.len() % 512), (2, 0x50, 33, frames.len(), 0));
+    assert_eq!((bytes[0], bytes[1], word(2), word(8), bytes.len() % 512), (2, 0x50, 35, frames.len(), 0));
     // From record to record, as a reader goes.
     let (mut at, mut starts) = (512 + 4, Vec::new());
     while bytes[at] != 0 {
@@ -269,7 +269,7 @@ fn a_c3d_file_has_what_its_parameters_say() {
     assert!(at < 512 * (1 + usize::from(bytes[514])));
     assert_eq!((starts.len(), starts[0]), (2, word(16)));
     // The last hips, mm, z up; and the last rotation's residual, behind which there are zeros alone.
-    let hips = 512 * (starts[0] - 1) + 16 * 33 * (frames.len() - 1);
+    let hips = 512 * (starts[0] - 1) + 16 * 35 * (frames.len() - 1);
     let expected = frames.last().unwrap().pelvis_m * 1000.0;
     assert!((f64::from(float(hips + 8)) - expected.z).abs() < 1e-3 && float(hips + 12) == 0.0);
     let rotations = 512 * (starts[1] - 1);
@@ -277,6 +277,13 @@ fn a_c3d_file_has_what_its_parameters_say() {
     assert!(end <= bytes.len() && bytes.len() - end < 512);
     let column: f32 = (0..3).map(|k| float(rotations + 4 * k).powi(2)).sum();
     assert!((column - 1.0).abs() < 1e-5 && float(rotations + 60) == 1.0);
+    // Shoulders that go with the torso have no angles.
+    let mut still = frames.clone();
+    for frame in &mut still {
+        let torso = frame.orientations[BodySegment::Torso.index()];
+        BodySegment::SHOULDERS.map(|shoulder| frame.orientations[shoulder.index()] = torso);
+    }
+    assert_eq!(c3d::bytes(&animation.skeleton, rate_hz, &still)[2], 33);
 }
 
 #[test]

@@ -259,5 +259,6 @@ fn mean(builds: &[Build]) -> Option<Build> {
         hand_m: mean(|build| build.hand_m),
         thigh_m: mean(|build| build.thigh_m),
         shank_m: mean(|build| build.shank_m),
+        girdle: false,
     })
 }

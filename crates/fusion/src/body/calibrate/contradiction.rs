@@ -261,7 +261,8 @@ fn quarter_turn(segment: BodySegment, rotation: &UnitQuaternion<f64>) -> Result<
 fn upright_in_all(seen: &Seen) -> Result<(), Contradiction> {
     let leans = |block: &Block, held: &Held| {
         BodySegment::ALL.into_iter().try_for_each(|segment| {
-            let is_arm = BodySegment::ARMS.contains(&segment);
+            // Shoulders rise with the arms.
+            let is_arm = BodySegment::ARMS.contains(&segment) || BodySegment::SHOULDERS.contains(&segment);
             let limit_deg = match block.kind {
                 BlockKind::TPose if is_arm => return Ok(()),
                 _ if is_arm || segment == BodySegment::Head => HANGS_DEG,

@@ -82,7 +82,7 @@ impl Facing<'_> {
             return CalibrationError::Facing { of: "the body", fix };
         }
         let fix = match segment {
-            BodySegment::Torso | BodySegment::Pelvis => {
+            BodySegment::Torso | BodySegment::Pelvis | BodySegment::ShoulderR | BodySegment::ShoulderL => {
                 "a `bow` (without magnetometers each sensor needs a movement)"
             }
             BodySegment::UpperArmR | BodySegment::ForearmR => "a `t_pose` or `elbow_flexion_r`",

@@ -25,7 +25,7 @@ pub use self::contradiction::Contradiction;
 pub(super) use self::facing::posture;
 use self::facing::{FACING_DEG, Facing, turned_between};
 pub(super) use self::session::Tracks;
-use self::session::{Held, Seen, Session};
+use self::session::{Seen, Session};
 use super::SensorMount;
 use super::block::{Block, BlockKind, Movement, Recorded};
 use super::skeleton::{BodySegment, SEGMENTS, Skeleton, upright};
@@ -57,7 +57,7 @@ pub enum CalibrationError {
     /// No sensor has samples.
     #[error("no sensor of the body has samples")]
     Empty,
-    /// No pose shows which way is up in the segments.
+    /// No pose shows which way is up in the segments, or none does in the shoulders.
     #[error("no pose was held: add an `n_pose` of three seconds")]
     NoPose,
     /// A pose was not held still, or has no samples.
@@ -179,7 +179,10 @@ pub fn calibrate(
                 sigma_deg: axis.sigma_deg,
             })
             .collect();
-        for (block, held) in seen.standing.iter().chain(&seen.spread) {
+        if seen.poses(segment).next().is_none() {
+            return Err(CalibrationError::NoPose);
+        }
+        for (block, held) in seen.poses(segment) {
             let Some(sensor) = held[index] else { continue };
             let raised = block.kind == BlockKind::TPose;
             let turned = seen.reference().map_or(0.0, |first| turned_between(first, held));
@@ -270,14 +273,16 @@ fn sigma_rad(seen: &Seen, segment: BodySegment, yaw_rad: f64, rms_deg: f64) -> V
         .filter(|axis| axis.segment == segment)
         .map(|axis| (axis.in_segment, axis.sigma_deg))
         .collect();
-    let held = |of: &[(Block, Held)]| of.iter().any(|(_, held)| held[segment.index()].is_some());
+    let held = |kind: BlockKind| {
+        seen.poses(segment).any(|(block, held)| block.kind == kind && held[segment.index()].is_some())
+    };
     for raised in [false, true] {
-        if held(if raised { &seen.spread } else { &seen.standing }) {
+        if held(if raised { BlockKind::TPose } else { BlockKind::NPose }) {
             let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
             let body = heading * upright() * posture(segment, raised);
             directions.push((body.inverse() * Vector3::z(), POSE_DEG));
             // The facing is one number, however often it was looked at.
-            if !raised || !held(&seen.standing) {
+            if !raised || !held(BlockKind::NPose) {
                 directions.push((body.inverse() * (heading * -Vector3::y()), FACING_DEG));
             }
         }

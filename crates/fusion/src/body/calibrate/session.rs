@@ -21,9 +21,9 @@ const HELD_RAD_S: f64 = 0.2;
 const BIAS_RAD_S: f64 = 0.035;
 /// How far the segment above a joint must turn meanwhile, root mean square, to show the axis without a magnetometer, rad.
 const PARENT_ROTATES_RAD: f64 = 0.35;
-/// How far a segment must turn in a movement to show its axis, root mean square, rad: 12 degrees, and half of it for head, hands and feet, which turn less far.
+/// How far a segment must turn in a movement to show its axis, root mean square, rad: 12 degrees, and half of it for head, hands, feet and shoulders, which turn less far.
 const TURNS_RAD: f64 = 12_f64.to_radians();
-const EXTREMITY_TURNS_RAD: f64 = 0.1;
+const LEAF_TURNS_RAD: f64 = 0.1;
 /// A movement of which less went one way does not show which way its axis points.
 pub(super) const ONE_WAY: f64 = 0.3;
 /// An axis whose vertical part is longer in the pose points up or down.
@@ -62,6 +62,12 @@ impl Seen {
     /// The first T-pose.
     pub(super) fn high(&self) -> Option<&Held> {
         self.spread.first().map(|(_, held)| held)
+    }
+
+    /// Poses that show how the sensor on a segment sits: shoulders rise with the arms, and further in one person than in another, so that a T-pose does not show theirs.
+    pub(super) fn poses(&self, segment: BodySegment) -> impl Iterator<Item = &(Block, Held)> {
+        let spread = if BodySegment::SHOULDERS.contains(&segment) { &[] } else { self.spread.as_slice() };
+        self.standing.iter().chain(spread)
     }
 
     /// Axes of movements that went both ways alike point as the poses show it: a steep one by gravity, a level one by which way the body faces.
@@ -250,7 +256,9 @@ impl<'a> Session<'a> {
         let (segment, movement) = match block.kind {
             BlockKind::NPose | BlockKind::TPose | BlockKind::Walk => return Ok(()),
             BlockKind::Bow => {
-                for segment in [BodySegment::Torso, BodySegment::Pelvis] {
+                // Shoulders go with the trunk.
+                let [right, left] = BodySegment::SHOULDERS;
+                for segment in [BodySegment::Torso, BodySegment::Pelvis, right, left] {
                     if self.present[segment.index()] {
                         let (sensor, one_way) =
                             self.main_axis(segment, low, range.clone(), TURNS_RAD).map_err(failed)?;
@@ -268,11 +276,14 @@ impl<'a> Session<'a> {
                 return Ok(());
             }
             BlockKind::TrunkRotation => {
-                if self.present[BodySegment::Torso.index()] {
-                    let (segment, in_segment) = (BodySegment::Torso, Vector3::y());
-                    let (sensor, one_way) = self.main_axis(segment, low, range, TURNS_RAD).map_err(failed)?;
-                    let sigma_deg = BALL_DEG;
-                    out.push(Axis { block: *block, segment, sensor, one_way, in_segment, sigma_deg });
+                let [right, left] = BodySegment::SHOULDERS;
+                for segment in [BodySegment::Torso, right, left] {
+                    if self.present[segment.index()] {
+                        let (sensor, one_way) =
+                            self.main_axis(segment, low, range.clone(), TURNS_RAD).map_err(failed)?;
+                        let (in_segment, sigma_deg) = (Vector3::y(), BALL_DEG);
+                        out.push(Axis { block: *block, segment, sensor, one_way, in_segment, sigma_deg });
+                    }
                 }
                 return Ok(());
             }
@@ -283,13 +294,13 @@ impl<'a> Session<'a> {
             return Ok(());
         }
         let side = segment.side();
-        if BodySegment::EXTREMITIES.contains(&segment) {
+        if BodySegment::LEAVES.contains(&segment) {
             // What it shows of the segment above, that one's own movements show better.
-            let (sensor, one_way) =
-                self.main_axis(segment, low, range, EXTREMITY_TURNS_RAD).map_err(failed)?;
+            let (sensor, one_way) = self.main_axis(segment, low, range, LEAF_TURNS_RAD).map_err(failed)?;
             let in_segment = match segment {
                 BodySegment::Head => -Vector3::z(),
                 BodySegment::HandR | BodySegment::HandL => Vector3::x() * side,
+                BodySegment::ShoulderR | BodySegment::ShoulderL => -Vector3::x() * side,
                 _ => Vector3::z(),
             };
             out.push(Axis { block: *block, segment, sensor, one_way, in_segment, sigma_deg: BALL_DEG });
@@ -304,7 +315,7 @@ impl<'a> Session<'a> {
                 (-Vector3::z(), true)
             }
             Movement::Flexion => (Vector3::z(), true),
-            Movement::Abduction => (-Vector3::x() * side, true),
+            Movement::Abduction | Movement::Elevation => (-Vector3::x() * side, true),
             // The axis goes with the segment: the one above sees it wherever the segment points.
             Movement::Rotation | Movement::Pronation => (Vector3::y() * side, false),
         };

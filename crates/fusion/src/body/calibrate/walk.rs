@@ -29,7 +29,7 @@ const SKEWED: f64 = 0.3;
 fn sigma_deg(segment: BodySegment) -> [f64; 3] {
     use BodySegment as S;
     match segment {
-        S::Torso | S::Pelvis => [5.0, 8.0, 8.0],
+        S::Torso | S::Pelvis | S::ShoulderR | S::ShoulderL => [5.0, 8.0, 8.0],
         S::Head => [8.0, 10.0, 10.0],
         S::UpperArmR | S::UpperArmL => [10.0, 25.0, 15.0],
         S::ForearmR | S::ForearmL => [12.0, 30.0, 25.0],
