@@ -223,7 +223,7 @@ impl Daemon {
                 }
             }
         }
-        let sides = Sides { feed, shelf: Some(Arc::new(playback::Recordings::new(recordings))) };
+        let sides = Sides { feed, shelf: Some(Arc::new(playback::Recordings::new(recordings.clone()))) };
         let (server, hub, pending) = Server::bind_with(&stage, config, sides)?;
         let mut service = Service::start(server);
         let jobs = Jobs::new(clock, hub.clone());
