@@ -4,7 +4,9 @@ use nalgebra::{UnitQuaternion, Vector3};
 use posed_fusion::body::{BodyFilter, BodyParams, BodySegment, Learnt, Skeleton};
 use posed_simulator::body::Activity;
 
-use super::{Case, HEIGHT_M, Mounting, RATE_HZ, Run, emit, mounts, oriented, outcomes, record, recorded};
+use super::{
+    Case, HEIGHT_M, Mounting, RATE_HZ, Run, Sensors, emit, mounts, oriented, outcomes, record, recorded,
+};
 
 const PEOPLE: u64 = 6;
 /// How long the activity goes on before the table looks, and before and after a strap slips, s.
@@ -170,7 +172,7 @@ fn slip(activity: Activity, seed: u64, segment: BodySegment, turned: Vector3<f64
     let (mut square, mut misfits) = (0.0, 0);
     for frame in 0..(AFTER_S * RATE_HZ) as usize {
         let (samples, at) = run.wearer.step();
-        let estimate = filter.push(&recorded(&samples, false), 1.0 / RATE_HZ);
+        let estimate = filter.push(&recorded(&samples, Sensors::Ten), 1.0 / RATE_HZ);
         if frame < last {
             continue;
         }
