@@ -72,7 +72,10 @@ impl Sensor {
 
     /// Sensor to room, `t_s` seconds after the stage's epoch.
     pub(crate) fn pose_in_room_s(&self, t_s: f64) -> Isometry3<f64> {
-        self.body.pose(self.segment, t_s) * (self.body.strap(self.segment, t_s) * self.mount)
+        let Isometry3 { translation, rotation } = self.mount;
+        let skin = self.body.skin(self.segment, &translation.vector, t_s);
+        let worn = Isometry3::from_parts(translation, skin * rotation);
+        self.body.pose(self.segment, t_s) * (self.body.strap(self.segment, t_s) * worn)
     }
 }
 

@@ -17,6 +17,8 @@ pub(crate) enum Purpose {
     Wearer(usize),
     /// How the strap of the n-th sensor that a person wears wanders.
     Strap(usize),
+    /// How the skin below the n-th sensor that a person wears turns it.
+    Skin(usize),
     /// A sequence of actions.
     Actions,
     /// A sequence of motion primitives.
@@ -40,6 +42,7 @@ impl Random {
             Purpose::Device(n) => (3, n),
             Purpose::Wearer(n) => (32, n),
             Purpose::Strap(n) => (35, n),
+            Purpose::Skin(n) => (36, n),
             Purpose::Actions => (33, 0),
             Purpose::Primitives => (34, 0),
         };

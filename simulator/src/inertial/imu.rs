@@ -185,14 +185,58 @@ mod tests {
     use std::path::Path;
 
     use super::*;
+    use crate::body::Activity;
     use crate::inertial::{AxisErrors, ImuClass};
-    use crate::motion::{Body, Motion, Screw, Still, Walk};
+    use crate::motion::{Body, Motion, Person, Screw, Still, Walk};
     use crate::random::Purpose;
 
     fn imu(motion: Motion, mount: Isometry3<f64>, errors: &ImuErrors) -> Imu {
         let body = Body::new(motion, Path::new(".")).unwrap();
         let sensor = Sensor { index: 3, body, segment: 0, mount };
         Imu::new(sensor, EarthSpec::default(), errors, Random::new(1, Purpose::Signals(0)))
+    }
+
+    /// Skin turns the sensor of somebody who walks as far as it is told, not of one who stands, and what it measures is how it then is.
+    #[test]
+    fn skin_turns_a_sensor_with_its_acceleration_and_the_sensor_feels_it() {
+        const SKIN_DEG_PER_M_S2: f64 = 0.06;
+        let segment = Person::SEGMENTS.iter().position(|name| *name == "thigh_r").unwrap();
+        let mount = Isometry3::new(Vector3::new(0.06, -0.2, 0.01), Vector3::new(0.4, -1.1, 0.3));
+        let worn = |skin_deg_per_m_s2: f64| {
+            let person = Person { activity: Activity::Walking, skin_deg_per_m_s2, ..Person::default() };
+            let body = Body::new(Motion::Person(person), Path::new(".")).unwrap();
+            let sensor = Sensor { index: 0, body, segment, mount };
+            let errors = ImuErrors::of(ImuClass::Ideal);
+            Imu::new(sensor, EarthSpec::default(), &errors, Random::new(1, Purpose::Signals(0)))
+        };
+        let (rigid_imu, soft_imu) = (worn(0.0), worn(SKIN_DEG_PER_M_S2));
+        assert_eq!(
+            rigid_imu.kinematics(seconds(0.0)).pose,
+            soft_imu.kinematics(seconds(-1.0)).pose,
+            "who stands"
+        );
+        let (mut turned_rad2, mut expected_rad2) = (0.0, 0.0);
+        let mut integrated = soft_imu.kinematics(seconds(4.0)).pose.rotation;
+        for step in 0..4000 {
+            let t = seconds(4.0 + 1e-3 * f64::from(step));
+            let (rigid, soft) = (rigid_imu.kinematics(t), soft_imu.kinematics(t));
+            assert!((rigid.pose.translation.vector - soft.pose.translation.vector).norm() < 1e-12);
+            let acceleration_m_s2 =
+                rigid.pose.rotation * rigid.specific_force_m_s2 - Vector3::z() * GRAVITY_M_S2;
+            turned_rad2 += rigid.pose.rotation.angle_to(&soft.pose.rotation).powi(2);
+            // About three axes, for each of three directions.
+            expected_rad2 += 3.0 * (SKIN_DEG_PER_M_S2.to_radians() * acceleration_m_s2.norm()).powi(2);
+            // The same force at the same place, seen by a sensor that has turned.
+            let felt = [rigid, soft].map(|of| of.pose.rotation * of.specific_force_m_s2);
+            assert!((felt[0] - felt[1]).norm() < 1e-6);
+            let off_rad = integrated.angle_to(&soft.pose.rotation);
+            assert!(off_rad < 1e-3, "{off_rad} rad after {step} ms");
+            let half_way = Timestamp::from_nanos(t.as_nanos() + 500_000);
+            let angular_velocity_rad_s = soft_imu.kinematics(half_way).angular_velocity_rad_s;
+            integrated *= UnitQuaternion::from_scaled_axis(angular_velocity_rad_s * 1e-3);
+        }
+        let ratio = (turned_rad2 / expected_rad2).sqrt();
+        assert!((0.4..2.0).contains(&ratio), "one draw of nine: {ratio}");
     }
 
     fn seconds(s: f64) -> Timestamp {

@@ -18,7 +18,7 @@ use std::sync::Arc;
 use crate::body::take::{Take, TakeError};
 use crate::body::{SEGMENTS, Strap};
 use crate::random::{Purpose, Random};
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 pub use crate::bvh::{Bvh, BvhError};
@@ -112,6 +112,12 @@ impl Motion {
                 if !(0.0..=90.0).contains(&person.strap_deg) {
                     return Err(format!("strap_deg = {} should be from 0 to 90", person.strap_deg));
                 }
+                if !(0.0..=5.0).contains(&person.skin_deg_per_m_s2) {
+                    return Err(format!(
+                        "skin_deg_per_m_s2 = {} should be from 0 to 5",
+                        person.skin_deg_per_m_s2
+                    ));
+                }
                 finite("position_m", &person.position_m)
             }
             Self::File(file) => {
@@ -141,6 +147,8 @@ pub struct Body {
     take: Option<Arc<Take>>,
     /// How the straps of what a [`Motion::Person`] wears wander, by segment.
     straps: Option<Arc<[Strap; SEGMENTS]>>,
+    /// By how much the skin turns what it wears with the acceleration, by segment: segment axes, rad per m/s².
+    skin: Option<Arc<[Matrix3<f64>; SEGMENTS]>>,
 }
 
 impl Body {
@@ -172,7 +180,17 @@ impl Body {
             }
             _ => None,
         };
-        Ok(Self { motion, tracks, take, straps })
+        let skin = match &motion {
+            Motion::Person(person) if person.skin_deg_per_m_s2 > 0.0 => {
+                let skin = |segment| {
+                    let mut random = Random::new(0, Purpose::Skin(segment));
+                    Matrix3::from_fn(|_, _| person.skin_deg_per_m_s2.to_radians() * random.normal())
+                };
+                Some(Arc::new(std::array::from_fn(skin)))
+            }
+            _ => None,
+        };
+        Ok(Self { motion, tracks, take, straps, skin })
     }
 
     /// Names of its segments, in the order of their indices.
@@ -214,6 +232,22 @@ impl Body {
         self.straps.as_ref().map_or_else(UnitQuaternion::identity, |straps| {
             UnitQuaternion::from_scaled_axis(straps[segment].turned_rad(t_s))
         })
+    }
+
+    /// How the skin has turned what is worn at a point of a segment, m: at once with how that point is accelerated, and not at rest. The point itself stays.
+    pub(crate) fn skin(&self, segment: usize, at_m: &Vector3<f64>, t_s: f64) -> UnitQuaternion<f64> {
+        /// Step of the differences, five points.
+        const H_S: f64 = 2e-3;
+        let Some(skin) = &self.skin else { return UnitQuaternion::identity() };
+        let pose = self.pose(segment, t_s);
+        let offset_m = |n: f64| {
+            let moved = self.pose(segment, t_s + n * H_S);
+            (moved.translation.vector - pose.translation.vector)
+                + (moved.rotation * at_m - pose.rotation * at_m)
+        };
+        let bend_m = (offset_m(-1.0) + offset_m(1.0)) * 16.0 - offset_m(-2.0) - offset_m(2.0);
+        let acceleration_m_s2 = pose.rotation.inverse() * bend_m / (12.0 * H_S * H_S);
+        UnitQuaternion::from_scaled_axis(skin[segment] * acceleration_m_s2)
     }
 
     /// Velocity of the segment's origin and of its rotation at `t_s`.
@@ -286,6 +320,20 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_person_s_keys_that_make_no_sense_are_named() {
+        let problem = |person: Person| Motion::Person(person).check().unwrap_err();
+        for skin_deg_per_m_s2 in [-0.1, 5.1, f64::NAN] {
+            let found = problem(Person { skin_deg_per_m_s2, ..Person::default() });
+            assert!(
+                found.starts_with("skin_deg_per_m_s2 = ") && found.ends_with("should be from 0 to 5"),
+                "{found}"
+            );
+        }
+        assert!(problem(Person { strap_deg: 91.0, ..Person::default() }).starts_with("strap_deg"));
+        assert_eq!(Motion::Person(Person { skin_deg_per_m_s2: 0.06, ..Person::default() }).check(), Ok(()));
     }
 
     #[test]

@@ -35,6 +35,9 @@ pub struct Person {
     pub follows: Vec<PathBuf>,
     /// How far straps wander: each turns its sensor on the segment slowly, within a minute or two, by this about each axis, root mean square over time, degrees.
     pub strap_deg: f64,
+    /// How far the skin turns sensors while it follows accelerations: standard deviation about each segment axis for each direction of the acceleration, drawn once per segment, degrees
+    /// per m/s². Soft tissue that gives by half a millimetre per m/s² and turns a sensor by 2 rad per metre: 0.06.
+    pub skin_deg_per_m_s2: f64,
     /// Whether collar bones and shoulder blades move: with arms that are raised, and in `movements` by themselves. Without, they go with the chest.
     pub girdle: bool,
     /// Frames per second of tables that have no column of times (`t`, `time_s`, `t_ms`).
@@ -53,13 +56,14 @@ impl Default for Person {
             follows: Vec::new(),
             follows_rate_hz: None,
             strap_deg: 0.0,
+            skin_deg_per_m_s2: 0.0,
             girdle: false,
         }
     }
 }
 
 impl Person {
-    pub(super) const SEGMENTS: [&'static str; crate::body::SEGMENTS] = SEGMENT_NAMES;
+    pub(crate) const SEGMENTS: [&'static str; crate::body::SEGMENTS] = SEGMENT_NAMES;
 
     pub(super) fn pose(&self, take: Option<&Take>, segment: usize, t_s: f64) -> Isometry3<f64> {
         let build = take.map_or_else(|| Build::of_height(self.height_m), Take::build);
