@@ -16,6 +16,7 @@ mod table;
 #[cfg(test)]
 mod tests;
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use nalgebra::Vector3;
@@ -47,6 +48,8 @@ pub struct Take {
     knots: Vec<Knot>,
     lap: Move,
     stands: Knot,
+    /// Knots in which one clip goes over into the next, in order; the first ones are those in which the last clip goes over into the first.
+    seams: Vec<Range<usize>>,
 }
 
 impl Take {
@@ -88,6 +91,7 @@ impl Take {
         })?;
         let stands = Knot::standing(Vector3::z() * (build.thigh_m + build.shank_m + ANKLE_M));
         let mut knots: Vec<Knot> = Vec::new();
+        let mut seams = Vec::new();
         for clip in clips {
             let seam = seam(knots.len(), clip.len());
             let onto = match knots.len().checked_sub(seam) {
@@ -95,6 +99,7 @@ impl Take {
                 _ => Move::between(&clip[0], &stands),
             };
             let begin = knots.len() - seam;
+            seams.push(begin..knots.len());
             for (index, knot) in clip.iter().enumerate() {
                 let knot = onto.of(knot);
                 match knots.get_mut(begin + index) {
@@ -111,7 +116,8 @@ impl Take {
         for (index, (knot, tail)) in knots.iter_mut().zip(&tail).enumerate() {
             *knot = crossed(&back.of(tail), knot, index, seam);
         }
-        Ok(Self { build, knots, lap, stands })
+        seams[0] = 0..seam;
+        Ok(Self { build, knots, lap, stands, seams })
     }
 
     /// Lengths of the body.
@@ -147,6 +153,20 @@ impl Take {
             return knot.posture();
         }
         Knot::mean([(1.0 - moved, &self.stands), (moved, &knot)]).posture()
+    }
+
+    /// Which clip the movement follows at a time, s, from 0; `None` where it goes over from one to the next, or is not begun: there feet slide that stand.
+    pub fn clip(&self, t_s: f64) -> Option<usize> {
+        // Control points of the spline at that time.
+        let first = (t_s * KNOTS_HZ).floor() as i64 - 2;
+        let count = self.knots.len() as i64;
+        let seamless = |knot: i64| {
+            let knot = knot.rem_euclid(count) as usize;
+            let clip = self.seams.partition_point(|seam| seam.start <= knot) - 1;
+            (!self.seams[clip].contains(&knot)).then_some(clip)
+        };
+        let clip = seamless(first)?;
+        (self.share(t_s) == 1.0 && seamless(first + 5) == Some(clip)).then_some(clip)
     }
 
     /// Whether heel and ball of the right and of the left foot stand: see [`Build::standing`].

@@ -105,6 +105,27 @@ fn who_follows_a_table_moves_as_it_says() {
     assert!(arms < 4.0, "{arms}");
 }
 
+/// Where one clip goes over into the next is no clip: 0.8 s of two that are long enough, also from the last to the first.
+#[test]
+fn what_joins_two_clips_is_neither() {
+    let text = table(Activity::Reaching, 6.0, &Matrix3::identity(), 1.0, "");
+    let recording = || Recording::of_table(Path::new("reach.csv"), text.as_bytes(), None).unwrap();
+    let take = Take::new(vec![recording(), recording()], HEIGHT_M).unwrap();
+    let lap_s = take.duration_s();
+    let seam_s = SEAM as f64 / KNOTS_HZ;
+    // A lap later, after the beginning: who begins has stood before.
+    let at = |t_s: f64| take.clip(lap_s + t_s);
+    assert_eq!(take.clip(0.5 * BEGIN_S), None);
+    assert_eq!(
+        (at(0.5 * seam_s), at(0.25 * lap_s), at(0.5 * lap_s + 0.5 * seam_s), at(0.75 * lap_s)),
+        (None, Some(0), None, Some(1))
+    );
+    let outside = (0..1000).filter(|k| at(f64::from(*k) * lap_s / 1000.0).is_some()).count();
+    // Two seams, each with what a spline reaches beyond it.
+    let expected = 1.0 - 2.0 * (seam_s + 5.0 / KNOTS_HZ) / lap_s;
+    assert!((outside as f64 / 1000.0 - expected).abs() < 0.01, "{outside} {expected}");
+}
+
 #[test]
 fn axes_and_units_of_a_table_are_found() {
     let expected = of_table(&table(Activity::Strolling, 3.0, &Matrix3::identity(), 1.0, "")).unwrap();
