@@ -14,7 +14,7 @@ use posed_fusion::body::{
     BodyFilter, BodyParams, BodySamples, BodySegment, Guide, SEGMENTS, SensorMount, Skeleton, Thoroughness,
     calibrate, joint_angles,
 };
-use posed_geometry::so3;
+use posed_geometry::{GRAVITY_M_S2, so3};
 use posed_simulator::body::take::{Recording, Take};
 use posed_simulator::body::{Activity, Build, Script, SensorErrors, Wearer, WearerSpec};
 
@@ -32,6 +32,12 @@ const PAUSE_S: f64 = 1.0;
 const SETTLE_S: f64 = 10.0;
 /// A way goes straight on for so long: shorter, and what a step shakes counts as way.
 const WAY_EPOCHS: usize = 50;
+/// Somebody runs who goes faster than a Froude number of 0.5, at which people go over from walking to running; the speed of that over the root of g and the leg's length.
+const RUNS: f64 = 0.707;
+/// Somebody walks who goes faster, m/s: slower, the hips sway.
+const WALKS_M_S: f64 = 0.3;
+/// A way of that gait that is shorter says nothing, m.
+const SHORT_M: f64 = 2.0;
 /// A contact that counts lasts for so many epochs.
 const STOOD_EPOCHS: usize = 10;
 /// So many styles of walking people, those of whom there is most.
@@ -61,7 +67,11 @@ struct Figures {
     way_m: f64,
     /// %, mm, %.
     way: f64,
+    /// The same within clips, walking and running, signed; `None` where it was too short.
+    gaits: [Option<f64>; 2],
     slide: f64,
+    /// How far heel and ball move in truth meanwhile, mm.
+    true_slide: f64,
     contacts: f64,
     thigh: f64,
     upper_arm: f64,
@@ -128,16 +138,19 @@ impl Angles {
 #[derive(Clone, Debug, Default)]
 struct Sole {
     began_m: Option<[Vector3<f64>; 2]>,
-    slid_m: f64,
+    /// In the estimate beside the truth, and in truth, m.
+    slid_m: [f64; 2],
     stood: usize,
 }
 
 impl Sole {
     /// Takes the next place; how far a contact slid that is over.
-    fn push(&mut self, stands: bool, truth_m: Vector3<f64>, found_m: Vector3<f64>) -> Option<f64> {
+    fn push(&mut self, stands: bool, truth_m: Vector3<f64>, found_m: Vector3<f64>) -> Option<[f64; 2]> {
         if stands {
             let [true_m, began_m] = *self.began_m.get_or_insert([truth_m, found_m]);
-            self.slid_m = self.slid_m.max(((found_m - began_m) - (truth_m - true_m)).norm());
+            let moved_m = truth_m - true_m;
+            let [slid_m, true_m] = self.slid_m;
+            self.slid_m = [slid_m.max((found_m - began_m - moved_m).norm()), true_m.max(moved_m.norm())];
             self.stood += 1;
             return None;
         }
@@ -217,9 +230,11 @@ fn solve(
     let (mut angles, mut euler_angles) = (Angles::default(), Angles::default());
     let mut figures = Figures::default();
     let mut soles: [[Sole; 2]; 2] = Default::default();
-    let mut slides_m: Vec<f64> = Vec::new();
+    let mut slides_m: Vec<[f64; 2]> = Vec::new();
     let mut ways_m = [0.0; 2];
-    let mut last: Option<[Vector3<f64>; 2]> = None;
+    let mut gaits_m = [[0.0; 2]; 2];
+    let mut last: Option<(Option<usize>, [Vector3<f64>; 2])> = None;
+    let runs_m_s = RUNS * (GRAVITY_M_S2 * (build.thigh_m + build.shank_m)).sqrt();
     for epoch in 0..(minutes * 60.0 * RATE_HZ) as usize {
         let (samples, at) = suit.wearer.step();
         let samples = recorded(&samples, Sensors::Fifteen);
@@ -227,7 +242,8 @@ fn solve(
         if let Some(table) = &mut table {
             table.row(&samples, &truth);
         }
-        let estimate = filter.push(&samples, 1.0 / RATE_HZ);
+        filter.push(&samples, 1.0 / RATE_HZ);
+        let (estimate, skeleton) = (filter.estimate(), filter.skeleton());
         let by_euler = euler.push(&samples, 1.0 / RATE_HZ);
         if (epoch as f64) < SETTLE_S * RATE_HZ {
             continue;
@@ -239,17 +255,23 @@ fn solve(
         let heading_rad = so3::log(&off).z.abs();
         figures.heading = heading_rad.to_degrees();
         figures.heading_sigmas = figures.heading_sigmas.max(heading_rad / estimate.heading_sigma_rad);
-        let hips_m = [room() * at.body[pelvis].origin_m, estimate.pelvis_m(&skeleton)];
+        let hips_m = [room() * at.body[pelvis].origin_m, estimate.pelvis_m(skeleton)];
+        let t_s = at.t_s - begin_s;
+        let clip = take.clip(t_s);
         if epoch % WAY_EPOCHS == 0
-            && let Some(last) = last.replace(hips_m)
+            && let Some((last_clip, last_m)) = last.replace((clip, hips_m))
         {
-            for (way_m, (now, before)) in ways_m.iter_mut().zip(hips_m.iter().zip(&last)) {
-                *way_m += (now - before).xy().norm();
+            let went_m = [0, 1].map(|k| (hips_m[k] - last_m[k]).xy().norm());
+            let speed_m_s = went_m[0] * RATE_HZ / WAY_EPOCHS as f64;
+            let gait = (clip.is_some() && clip == last_clip && speed_m_s > WALKS_M_S)
+                .then(|| &mut gaits_m[usize::from(speed_m_s > runs_m_s)]);
+            for ways_m in [Some(&mut ways_m), gait].into_iter().flatten() {
+                ways_m.iter_mut().zip(went_m).for_each(|(way_m, went_m)| *way_m += went_m);
             }
         }
         let posture = estimate.posture;
         let ankles_m = skeleton.ankles_m(&posture, hips_m[1]);
-        let stands = take.standing(at.t_s - begin_s);
+        let stands = take.standing(t_s);
         for (side, points) in build.soles_m(&at.body).into_iter().enumerate() {
             let foot = FEET[side].index();
             for ((sole, point_m), stands) in soles[side].iter_mut().zip(points).zip(stands[side]) {
@@ -266,7 +288,11 @@ fn solve(
     figures.way_m = ways_m[0];
     figures.way = 100.0 * (ways_m[1] / ways_m[0] - 1.0).abs();
     figures.contacts = slides_m.len() as f64;
-    figures.slide = 1e3 * slides_m.iter().sum::<f64>() / slides_m.len().max(1) as f64;
+    figures.gaits =
+        gaits_m.map(|[true_m, found_m]| (true_m > SHORT_M).then(|| 100.0 * (found_m / true_m - 1.0)));
+    [figures.slide, figures.true_slide] = [0, 1].map(|which| {
+        1e3 * slides_m.iter().map(|slid_m| slid_m[which]).sum::<f64>() / figures.contacts.max(1.0)
+    });
     let learnt = filter.learnt();
     let length = |pair: [BodySegment; 2], usual_m: f64, true_m: f64| {
         let off = |segment: BodySegment| {
@@ -295,9 +321,9 @@ pub(super) fn table() {
         return;
     }
     emit(&format!(
-        "\n| recorded people, {minutes} minutes each | legs | arms | knee, elbow, pronation | headings between segments | heading at the end | most, sigmas | way, m | its error, % | slide, mm | contacts | thigh, % | upper arm, % | Euler limbs: legs | arms | headings |"
+        "\n| recorded people, {minutes} minutes each | legs | arms | knee, elbow, pronation | headings between segments | heading at the end | most, sigmas | way, m | its error, % | walking, running, within clips, % | slide, mm | in truth | contacts | thigh, % | upper arm, % | Euler limbs: legs | arms | headings |"
     ));
-    emit("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
+    emit("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
     let mut all: Vec<Figures> = Vec::new();
     for (seed, (name, take)) in people.iter().enumerate() {
         if only.is_some_and(|only| !name.contains(only.as_str())) {
@@ -331,13 +357,22 @@ pub(super) fn table() {
 
 /// Medians of the figures.
 fn row(name: &str, all: &[Figures]) -> String {
-    let median = |of: &dyn Fn(&Figures) -> f64| {
-        let mut values: Vec<f64> = all.iter().map(of).collect();
+    let middle = |mut values: Vec<f64>| {
         values.sort_by(f64::total_cmp);
         0.5 * (values[(values.len() - 1) / 2] + values[values.len() / 2])
     };
+    let median = |of: &dyn Fn(&Figures) -> f64| middle(all.iter().map(of).collect());
+    // Of several: how far it is off, either way.
+    let gaits = [0, 1].map(|gait| {
+        let values: Vec<f64> = all.iter().filter_map(|figures| figures.gaits[gait]).collect();
+        match values[..] {
+            [] => "-".to_owned(),
+            [one] if all.len() == 1 => format!("{one:+.1}"),
+            _ => format!("{:.1}", middle(values.iter().map(|value| value.abs()).collect())),
+        }
+    });
     format!(
-        "| {name} | {:.2} | {:.2} | {:.1}, {:.1}, {:.1} | {:.2} | {:.1} | {:.1} | {:.0} | {:.1} | {:.0} | {:.0} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} |",
+        "| {name} | {:.2} | {:.2} | {:.1}, {:.1}, {:.1} | {:.2} | {:.1} | {:.1} | {:.0} | {:.1} | {}, {} | {:.0} | {:.1} | {:.0} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} |",
         median(&|f| f.legs),
         median(&|f| f.arms),
         median(&|f| f.hinges[0]),
@@ -348,7 +383,10 @@ fn row(name: &str, all: &[Figures]) -> String {
         median(&|f| f.heading_sigmas),
         median(&|f| f.way_m),
         median(&|f| f.way),
+        gaits[0],
+        gaits[1],
         median(&|f| f.slide),
+        median(&|f| f.true_slide),
         median(&|f| f.contacts),
         median(&|f| f.thigh),
         median(&|f| f.upper_arm),
