@@ -41,6 +41,7 @@ impl BodyFilter {
                 return Foot::Ankle(Point {
                     at_m,
                     accel_m_s2: shanks[side].map(|(seen, _)| seen.ankle_m_s2),
+                    turns_rad_s: None,
                 });
             }
             let moving = self.moving(foot, samples);
@@ -49,6 +50,7 @@ impl BodyFilter {
                     at_m: at_m + all[foot.index()] * point_m,
                     accel_m_s2: moving
                         .map(|(moving, sensor)| acceleration_m_s2(&moving, point_m - sensor.mount.offset_m)),
+                    turns_rad_s: moving.map(|(moving, _)| moving.angular_velocity_rad_s),
                 }),
             )
         });

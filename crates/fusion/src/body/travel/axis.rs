@@ -9,6 +9,8 @@ use posed_state::Plain;
 const NOISE_M_S2: f64 = 0.05;
 const LASTING_M_S2: f64 = 0.15;
 const LASTING_S: f64 = 20.0;
+/// And what a tilt and a scale that are a fiftieth wrong for a tenth of a second at a time make of the acceleration itself, per root hertz: 0.02 sqrt(0.1 s).
+const SHAKEN: f64 = 0.006;
 /// Without an acceleration the velocity changes at random by so much, m/s² per root hertz.
 const COASTING_M_S2: f64 = 1.0;
 /// What is known of the velocity at first, m/s.
@@ -50,10 +52,12 @@ impl Axis {
         self.covariance[(state, state)]
     }
 
-    /// Goes on by this acceleration, m/s²; without one as fast as before.
-    pub(super) fn predict(&mut self, accel_m_s2: Option<f64>, dt_s: f64) {
+    /// Goes on by this acceleration along the axis, m/s², of which the whole vector has that norm; without one as fast as before.
+    pub(super) fn predict(&mut self, accel_m_s2: Option<(f64, f64)>, dt_s: f64) {
         let (used, noise_m_s2) = match accel_m_s2 {
-            Some(accel_m_s2) => (accel_m_s2 - self.state[ERROR], NOISE_M_S2),
+            Some((accel_m_s2, whole_m_s2)) => {
+                (accel_m_s2 - self.state[ERROR], libm::hypot(NOISE_M_S2, SHAKEN * whole_m_s2))
+            }
             None => (0.0, COASTING_M_S2),
         };
         self.state[POSITION] += dt_s * (self.state[VELOCITY] + 0.5 * dt_s * used);
@@ -97,6 +101,11 @@ impl Axis {
         let mut h = SVector::<f64, STATES>::zeros();
         h[state] = 1.0;
         self.update(&h, value, variance);
+    }
+
+    /// A state is known less well than was thought, by this variance.
+    pub(super) fn doubt(&mut self, state: usize, variance: f64) {
+        self.covariance[(state, state)] += variance;
     }
 
     /// Body and footholds are elsewhere in the room, by so much, m.

@@ -1,7 +1,7 @@
 //! Whether a point of a foot stands.
 //!
-//! In: how fast the point goes, and its acceleration. Out: how likely it stands, 0 to 1. A hidden Markov model of two states: both vectors are normal about
-//! zero, narrow where the point stands and wide where it does not. It knows no floor: what does not move stands.
+//! In: how fast the point goes, its acceleration, and how fast its foot turns. Out: how likely it stands, 0 to 1. A hidden Markov model of two states: all vectors are
+//! normal about zero, narrow where the point stands and wide where it does not. It knows no floor: what does not move stands.
 
 use nalgebra::Vector3;
 use posed_state::Plain;
@@ -10,6 +10,14 @@ use posed_state::Plain;
 /// One that stands plays with skin and shoe.
 const SPEED_M_S: [f64; 2] = [0.06, 1.0];
 const ACCEL_M_S2: [f64; 2] = [0.8, 8.0];
+/// A foot that stands lies still or rolls, as often as not. How fast one turns that lies still (in its shoe), and one that does not, root mean square of an axis, rad/s; and
+/// with which acceleration the point moves of one that rolls: somebody who runs stands for 0.2 s, and within half of that a foot of 1 m/s comes to rest and leaves.
+const STILL: f64 = 0.5;
+const TURNS_RAD_S: [f64; 2] = [0.2, 3.0];
+const ROLLS_M_S2: f64 = 5.0;
+/// So seldom the body's velocity is wrong by anything. It bounds how much a speed speaks against a foot whose own sensor shows that it lies still: so who slid on both
+/// feet, or whose contacts were missed, is found again.
+const LOST: f64 = 0.003;
 /// For so long evidence says the same again, s; and no more than this at a time, natural logarithm.
 const CORRELATED_S: f64 = 0.03;
 const MOST: f64 = 4.0;
@@ -38,20 +46,30 @@ impl Contact {
     pub(super) const UNKNOWN: Self =
         Self { probability: 0.5, now: 0.5, stood_s: 0.0, before_s: 0.0, last_m: None };
 
-    /// Takes what is seen after `dt_s`: how fast it goes, m/s, with the variance that this is known to, m²/s², and its acceleration, m/s².
+    /// Takes what is seen after `dt_s`: how fast it goes, m/s, with the variance that this is known to, m²/s², its acceleration, m/s², and how fast its foot turns, rad/s.
     pub(super) fn push(
         &mut self,
         speed_m_s: Option<(Vector3<f64>, f64)>,
         accel_m_s2: Option<Vector3<f64>>,
+        turns_rad_s: Option<Vector3<f64>>,
         dt_s: f64,
     ) {
         let mut evidence = 0.0;
         if let Some((speed_m_s, variance_m2_s2)) = speed_m_s {
-            evidence += likelier(speed_m_s.norm_squared(), SPEED_M_S, variance_m2_s2);
+            let known = likelier(speed_m_s.norm_squared(), SPEED_M_S, variance_m2_s2);
+            evidence += either(LOST, 0.0, known);
         }
+        let (mut still, mut rolls) = (0.0, 0.0);
         if let Some(accel_m_s2) = accel_m_s2 {
-            evidence += likelier(accel_m_s2.norm_squared(), ACCEL_M_S2, 0.0);
+            let [_, moves] = ACCEL_M_S2;
+            still += likelier(accel_m_s2.norm_squared(), ACCEL_M_S2, 0.0);
+            rolls += likelier(accel_m_s2.norm_squared(), [ROLLS_M_S2, moves], 0.0);
         }
+        if let Some(turns_rad_s) = turns_rad_s {
+            still += likelier(turns_rad_s.norm_squared(), TURNS_RAD_S, 0.0);
+        }
+        // A foot of which nobody knows how it turns has to lie still: its ankle lifts as soon as it rolls.
+        evidence += if turns_rad_s.is_some() { either(STILL, still, rolls) } else { still };
         let evidence = evidence.clamp(-MOST, MOST);
         self.now = 1.0 / (1.0 + libm::exp(-evidence));
         let evidence = evidence * (dt_s / CORRELATED_S).min(1.0);
@@ -71,6 +89,12 @@ impl Contact {
     pub(super) fn stands(&self) -> bool {
         self.probability > STANDS
     }
+}
+
+/// Of two ways, of which the first has this share: how likely both together are, all as natural logarithms.
+fn either(share: f64, first: f64, second: f64) -> f64 {
+    let most = first.max(second);
+    most + libm::log(share * libm::exp(first - most) + (1.0 - share) * libm::exp(second - most))
 }
 
 /// By how much likelier a vector of this squared length is in what stands than in what does not, natural logarithm; `known` is the variance of

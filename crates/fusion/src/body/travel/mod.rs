@@ -46,6 +46,9 @@ const FLOOR_M: f64 = 0.3;
 const RESTS_M_S: f64 = 0.02;
 /// A foot that has come down lies still after so long, s.
 const LANDED_S: f64 = 0.08;
+/// How fast a point that stands may seem to go, m/s, and beyond how many standard deviations of that the body's velocity was lost.
+const RESTING_M_S: f64 = 0.1;
+const LOST: f64 = 3.0;
 /// Footholds whose heights differ by less are on one floor, m, and this is how level a floor is.
 const STEP_M: f64 = 0.04;
 const LEVEL_M: f64 = 0.005;
@@ -123,6 +126,8 @@ pub(super) struct Point {
     pub at_m: Vector3<f64>,
     /// By the sensor of its segment, m/s²; `None` where it is not known.
     pub accel_m_s2: Option<Vector3<f64>>,
+    /// Of its foot, rad/s; `None` where that is not known.
+    pub turns_rad_s: Option<Vector3<f64>>,
 }
 
 /// How far the ball of a foot lies ahead of its ankle, m, and the variance of that, m².
@@ -208,7 +213,7 @@ impl TravelFilter {
         self.sensor_from_hips_m = legs.sensor_m;
         let accel_m_s2 = legs.specific_force_m_s2.map(|force| force - Vector3::z() * GRAVITY_M_S2);
         for (k, axis) in self.axes.iter_mut().enumerate() {
-            axis.predict(accel_m_s2.map(|accel| accel[k]), dt_s);
+            axis.predict(accel_m_s2.map(|accel| (accel[k], accel.norm())), dt_s);
         }
         let velocity_m_s = Vector3::from_fn(|k, _| self.axes[k].value(VELOCITY));
         let velocity_m2_s2 = self.axes.iter().map(|axis| axis.variance(VELOCITY)).sum::<f64>() / 3.0;
@@ -229,7 +234,12 @@ impl TravelFilter {
                 let contact = &mut self.contacts[side][which];
                 let last_m = contact.last_m.replace(at_m);
                 let speed_m_s = last_m.map(|last_m| velocity_m_s + (at_m - last_m) / dt_s);
-                contact.push(speed_m_s.map(|speed| (speed, velocity_m2_s2)), point.accel_m_s2, dt_s);
+                contact.push(
+                    speed_m_s.map(|speed| (speed, velocity_m2_s2)),
+                    point.accel_m_s2,
+                    point.turns_rad_s,
+                    dt_s,
+                );
                 speeds_m_s[which] = speed_m_s;
             }
             if !stood && self.foot_stands(side) {
@@ -371,6 +381,9 @@ impl TravelFilter {
         if !contact.stands() {
             return;
         }
+        if let Some(speed_m_s) = speed_m_s {
+            self.doubt(&speed_m_s);
+        }
         let foothold = foothold(side, which);
         if contact.before_s == 0.0 {
             for (k, axis) in self.axes.iter_mut().enumerate() {
@@ -385,6 +398,16 @@ impl TravelFilter {
         let noise_m2 = (POINT_M * POINT_M + loose_m * loose_m) / (contact.probability * contact.now);
         for (k, axis) in self.axes.iter_mut().enumerate() {
             axis.hold(foothold, at_m[k], noise_m2);
+        }
+    }
+
+    /// A point that stands seems to go so fast, m/s: more than the body's velocity is thought to be wrong by, and that was lost. It is found again from the
+    /// footholds within some hundredths of a second, instead of dragging them along.
+    fn doubt(&mut self, speed_m_s: &Vector3<f64>) {
+        let known_m2_s2: f64 = self.axes.iter().map(|axis| axis.variance(VELOCITY)).sum();
+        if speed_m_s.norm_squared() > LOST * LOST * (known_m2_s2 + 3.0 * RESTING_M_S * RESTING_M_S) {
+            let variance_m2_s2 = speed_m_s.norm_squared() / 3.0;
+            self.axes.iter_mut().for_each(|axis| axis.doubt(VELOCITY, variance_m2_s2));
         }
     }
 

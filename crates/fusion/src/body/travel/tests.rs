@@ -94,8 +94,11 @@ fn who_squats_stays_and_who_floats_does_not_fly_off() {
         specific_force_m_s2: Some(Vector3::new(0.1, -0.1, GRAVITY_M_S2 + 0.2)),
         rests: false,
         ankles_m: [Vector3::new(0.0, -0.09, -0.9), Vector3::new(0.0, 0.09, -0.9)],
-        feet: [Foot::Ankle(Point { at_m: Vector3::zeros(), accel_m_s2: Some(Vector3::new(12.0, 0.0, 3.0)) });
-            2],
+        feet: [Foot::Ankle(Point {
+            at_m: Vector3::zeros(),
+            accel_m_s2: Some(Vector3::new(12.0, 0.0, 3.0)),
+            turns_rad_s: None,
+        }); 2],
         shanks: [None; 2],
     };
     let mut filter = TravelFilter::new(&Skeleton { foot_m: 0.07, ..Skeleton::from_height(1.8) });
@@ -149,6 +152,45 @@ fn a_foot_with_a_sensor_stands_by_heel_and_ball() {
     }
 }
 
+/// A body whose velocity was lost while no foot stood is found again as soon as the feet lie still by their own sensors, whatever the velocity says.
+#[test]
+fn feet_that_lie_still_find_a_lost_velocity_again() {
+    let sole = |accel_m_s2: f64, turns_rad_s: f64| {
+        [0.1, -0.1].map(|left_m| {
+            Foot::Sole([-0.05, 0.1].map(|ahead_m| Point {
+                at_m: Vector3::new(ahead_m, -left_m, -0.95),
+                accel_m_s2: Some(Vector3::new(accel_m_s2, 0.0, 0.0)),
+                turns_rad_s: Some(Vector3::new(0.0, 0.0, turns_rad_s)),
+            }))
+        })
+    };
+    let legs = |feet: [Foot; 2], accel_m_s2: f64| Legs {
+        sensor_m: Vector3::new(-0.08, 0.0, 0.02),
+        specific_force_m_s2: Some(Vector3::new(accel_m_s2, 0.0, GRAVITY_M_S2)),
+        rests: false,
+        ankles_m: [Vector3::new(0.0, -0.1, -0.88), Vector3::new(0.0, 0.1, -0.88)],
+        feet,
+        shanks: [None; 2],
+    };
+    let mut filter = TravelFilter::new(&Skeleton::from_height(1.8));
+    for _ in 0..200 {
+        filter.push(&legs(sole(0.0, 0.0), 0.0), 0.02, 0.01);
+    }
+    // Feet that are thrown about tell nothing, and the pelvis's accelerometer something wrong: 0.8 m/s.
+    for _ in 0..40 {
+        filter.push(&legs(sole(20.0, 8.0), 2.0), 0.02, 0.01);
+    }
+    let lost_m_s = filter.axes[0].value(VELOCITY);
+    assert!(lost_m_s > 0.5, "{lost_m_s}");
+    for _ in 0..20 {
+        filter.push(&legs(sole(0.0, 0.0), 0.0), 0.02, 0.01);
+    }
+    let travel = filter.push(&legs(sole(0.0, 0.0), 0.0), 0.02, 0.01);
+    assert!(travel.contacts.unwrap().iter().all(|contact| contact.foot > 0.9), "{travel:?}");
+    let found_m_s = filter.axes[0].value(VELOCITY);
+    assert!(found_m_s.abs() < 0.05, "{found_m_s}");
+}
+
 /// Whoever sits with swinging feet stays where he is: the pelvis rests by its own sensor.
 #[test]
 fn who_sits_and_swings_the_feet_stays() {
@@ -156,6 +198,7 @@ fn who_sits_and_swings_the_feet_stays() {
         Foot::Ankle(Point {
             at_m: Vector3::new(x_m, 0.1, -0.45),
             accel_m_s2: Some(Vector3::new(9.0, 0.0, 2.0)),
+            turns_rad_s: None,
         })
     };
     let mut filter = TravelFilter::new(&Skeleton::from_height(1.8));
