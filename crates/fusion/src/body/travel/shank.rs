@@ -14,6 +14,8 @@ use posed_state::Plain;
 /// Acceleration of an ankle of a foot that lies flat, root mean square of an axis, m/s²: skin, and a foot that is no rigid body; for so long it is one error, s.
 const STILL_M_S2: f64 = 0.8;
 const CORRELATED_S: f64 = 0.05;
+/// An ankle that plays turns its shank about the knee, which looks as if the shank were shorter. What turns so many times faster than that could show its length.
+const TURNS: f64 = 3.0;
 /// What tilt and bias leave for a while, m/s², and how long, s.
 const LASTING_M_S2: f64 = 0.15;
 const LASTING_S: f64 = 20.0;
@@ -58,6 +60,9 @@ impl Shank {
 
     /// For `dt_s` the foot has lain flat with this probability.
     pub(super) fn push(&mut self, seen: &ShankSeen, flat: f64, dt_s: f64) {
+        if seen.by_length.norm() * seen.length_m < TURNS * STILL_M_S2 {
+            return;
+        }
         let keep = 1.0 - (dt_s / LASTING_S).min(1.0);
         for k in 1..4 {
             self.state[k] *= keep;

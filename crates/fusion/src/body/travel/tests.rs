@@ -191,6 +191,28 @@ fn feet_that_lie_still_find_a_lost_velocity_again() {
     assert!(found_m_s.abs() < 0.05, "{found_m_s}");
 }
 
+/// An ankle that plays turns its shank about the knee: that shows no length. A shank that turns fast over an ankle that stands does.
+#[test]
+fn a_shank_is_not_shortened_by_an_ankle_that_plays() {
+    let usual_m = 0.44;
+    let mut shank = Shank::new(usual_m);
+    let seen = |turns: f64, true_m: f64| {
+        let by_length = Vector3::new(turns, 0.0, 0.0);
+        ShankSeen { ankle_m_s2: by_length * (usual_m - true_m), length_m: usual_m, by_length }
+    };
+    for frame in 0..6000 {
+        // 1 m/s2 at the ankle, with the knee at rest: as if the shank had no length.
+        let sign = if frame % 20 < 10 { 1.0 } else { -1.0 };
+        shank.push(&seen(sign / usual_m, 0.0), 1.0, 0.01);
+    }
+    assert_eq!(shank.length_m()[0], usual_m);
+    for frame in 0..6000 {
+        let sign = if frame % 20 < 10 { 1.0 } else { -1.0 };
+        shank.push(&seen(8.0 * sign, 0.47), 1.0, 0.01);
+    }
+    assert!((shank.length_m()[0] - 0.47).abs() < 0.005, "{:?}", shank.length_m());
+}
+
 /// Whoever sits with swinging feet stays where he is: the pelvis rests by its own sensor.
 #[test]
 fn who_sits_and_swings_the_feet_stays() {
