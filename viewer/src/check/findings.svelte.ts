@@ -15,11 +15,20 @@ const DAMAGED = 0.01;
 const LASTS_S = 3;
 const WAYS: Record<string, Way> = { field_map: "field", recording: "recording" };
 
+/** Messages that were dropped longer ago are forgotten, s. */
+const DROPPED_S = 10;
+/** How many messages had been dropped for this page, by host time, s; the oldest is that of so long ago. */
+let drops: { t_s: number; dropped: number }[] = [];
+
 /** Since when each sensor has been what it is, host time, s. */
 const since = new Map<string, { state: string; t_s: number }>();
 model.listen((message) => {
-  if (message.type === "hello") since.clear();
+  if (message.type === "hello") {
+    since.clear();
+    drops = [];
+  }
   if (message.type !== "status") return;
+  drops = [...drops.filter(({ t_s }) => t_s > message.t_s - DROPPED_S), { t_s: message.t_s, dropped: model.sensors?.dropped ?? 0 }];
   for (const { name, state } of model.sensors?.sensors ?? []) {
     if (since.get(name)?.state !== state) since.set(name, { state, t_s: message.t_s });
   }
@@ -51,7 +60,7 @@ export function findings(text: Text): Finding[] {
   }
   if (field.disturbed.length > 0) found.push({ key: "disturbed", grave: "care", says: `${check.disturbed} ${calibrate.less}`, way: "field" });
   if (field.drifted) found.push({ key: "drifted", grave: "bad", says: calibrate.drifted(field.drifted.sensors.join(calibrate.and), num(1000 * field.drifted.deviation_m, 1)), way: "field" });
-  const dropped = model.sensors?.dropped ?? 0;
+  const dropped = (drops.at(-1)?.dropped ?? 0) - (drops[0]?.dropped ?? 0);
   if (dropped > 0) found.push({ key: "dropped", grave: "care", says: check.dropped(dropped) });
   return found;
 }

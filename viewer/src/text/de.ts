@@ -163,7 +163,7 @@ export const de: Text = {
     outside: (names) => `${names}: außerhalb des kalibrierten Feldes, darum sind Positionen weniger sicher. Zurückgehen oder einen größeren Raum kalibrieren.`,
     suspect: (name, cause) => `${name}: nicht verlässlich (${cause}). Nach Metall, einem lockeren Gurt oder einem zweiten Sender in der Nähe sehen.`,
     damaged: (name, share) => `${name}: ${share} % seiner Datensätze kommen beschädigt an. Sein Kabel kürzen oder tauschen, von Motoren und Bildschirmen fernhalten oder die Baudrate senken.`,
-    dropped: (n) => `Dieser Browser war für ${n} Nachrichten zu langsam. Andere Tabs schließen oder an einem anderen Rechner zusehen.`,
+    dropped: (n) => `Dieser Browser war in den letzten zehn Sekunden für ${n} Nachrichten zu langsam. Andere Tabs schließen oder an einem anderen Rechner zusehen.`,
     disturbed: "Das Feld ist jetzt gestört.",
     devices: "Geräte", deviceHead: ["Gerät", "Treiber", "Anschluss", "Zustand", "Rate, Hz", "Alter, ms", "Uhr ±, ms", "Datensätze", "Verworfen", "Übersprungen"],
     sensors: "Sensoren", sensorHead: ["Sensor", "Zustand", "Rate, Hz", "Alter, ms", "x, m", "y, m", "z, m", "w", "x", "y", "z", "σ, mm", "Messungen", "Verloren"],

@@ -162,7 +162,7 @@ export const en = {
     outside: (names: string) => `${names}: outside of the calibrated field, so positions are less certain. Move back, or calibrate a larger volume.`,
     suspect: (name: string, cause: string) => `${name}: not to be relied on (${cause}). Look for metal, a loose strap or a second transmitter nearby.`,
     damaged: (name: string, share: string) => `${name}: ${share} % of its records arrive damaged. Shorten or replace its cable, keep it away from motors and screens, or lower its baud rate.`,
-    dropped: (n: number) => `This browser was too slow for ${n} messages. Close other tabs, or watch from another computer.`,
+    dropped: (n: number) => `This browser was too slow for ${n} messages in the last ten seconds. Close other tabs, or watch from another computer.`,
     disturbed: "The field is disturbed now.",
     devices: "Devices", deviceHead: ["Device", "Driver", "Port", "State", "Rate, Hz", "Age, ms", "Clock ±, ms", "Records", "Rejected", "Skipped"],
     sensors: "Sensors", sensorHead: ["Sensor", "State", "Rate, Hz", "Age, ms", "x, m", "y, m", "z, m", "w", "x", "y", "z", "σ, mm", "Samples", "Lost"],
