@@ -281,7 +281,9 @@ fn a_c3d_file_has_what_its_parameters_say() {
     let mut still = frames.clone();
     for frame in &mut still {
         let torso = frame.orientations[BodySegment::Torso.index()];
-        BodySegment::SHOULDERS.map(|shoulder| frame.orientations[shoulder.index()] = torso);
+        for shoulder in BodySegment::SHOULDERS {
+            frame.orientations[shoulder.index()] = torso;
+        }
     }
     assert_eq!(c3d::bytes(&animation.skeleton, rate_hz, &still)[2], 33);
 }
