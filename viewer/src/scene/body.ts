@@ -26,7 +26,7 @@ export const STANDS_LOOK = { sign: "●", colour: 0x3a9d5d };
 const GREYER = 0.5;
 const CHOSEN = 0x3b9cff;
 const ILL = 0xb3261e;
-const GHOST = new THREE.MeshStandardMaterial({ color: 0x2a9d8f, roughness: 0.8, transparent: true, opacity: 0.4 });
+const GHOST = new THREE.MeshLambertMaterial({ color: 0x2a9d8f, transparent: true, opacity: 0.4 });
 
 /** A segment as it is drawn; without a state it is as good as one that is measured. */
 type Drawn = Pick<SegmentEntry, "name" | "position_m" | "orientation_wxyz"> & Partial<Pick<SegmentEntry, "state" | "fault">>;
@@ -56,7 +56,7 @@ interface Part {
 
 /** The same material, but that it shines. */
 function shining(material: THREE.Material): THREE.Material {
-  const bright = (material as THREE.MeshStandardMaterial).clone();
+  const bright = (material as THREE.MeshLambertMaterial).clone();
   bright.emissive.set(CHOSEN);
   bright.emissiveIntensity = 0.55;
   return bright;
@@ -84,7 +84,7 @@ export class BodyFigure {
     const material = (state: SegmentState) => {
       if (kind === "ghost") return GHOST;
       const { colour, net } = BODY_LOOKS[state];
-      return new THREE.MeshStandardMaterial({ color: colour, roughness: 0.7, wireframe: net, transparent: net, opacity: net ? 0.25 : 1 });
+      return new THREE.MeshLambertMaterial({ color: colour, wireframe: net, transparent: net, opacity: net ? 0.25 : 1 });
     };
     this.materials = { ok: material("ok"), inferred: material("inferred"), suspect: material("suspect"), missing: material("missing") };
     for (const name of Object.keys(PLACES)) {
@@ -112,7 +112,7 @@ export class BodyFigure {
   paint(colour: string): void {
     if (colour === this.painted) return;
     this.painted = colour;
-    const [ok, inferred] = [this.materials.ok, this.materials.inferred] as THREE.MeshStandardMaterial[];
+    const [ok, inferred] = [this.materials.ok, this.materials.inferred] as THREE.MeshLambertMaterial[];
     ok!.color.set(colour);
     inferred!.color.set(colour).lerp(new THREE.Color(BODY_LOOKS.inferred.colour), GREYER);
   }

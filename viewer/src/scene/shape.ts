@@ -20,9 +20,9 @@ const HAND = 0.108;
 /** A cross-section: where along the axis, half of it in the two other directions, and its middle in the first of them. */
 type Ring = [along: number, first: number, second: number, middle?: number];
 
-const SIDES = 24;
+const SIDES = 18;
 /** Rings between two that are given. */
-const BETWEEN = 3;
+const BETWEEN = 1;
 
 /** With smooth rings between: a Catmull-Rom spline through each of their numbers. */
 function smooth(rings: Ring[]): Ring[] {
@@ -86,7 +86,7 @@ function volume(points: number[], faces: number[]): number {
 }
 
 function ball(x: number, y: number, z: number, size: [number, number, number]): THREE.BufferGeometry {
-  const geometry = new THREE.SphereGeometry(1, 20, 14).scale(...size).translate(x, y, z);
+  const geometry = new THREE.SphereGeometry(1, 14, 10).scale(...size).translate(x, y, z);
   geometry.deleteAttribute("uv");
   return geometry;
 }
@@ -94,7 +94,7 @@ function ball(x: number, y: number, z: number, size: [number, number, number]): 
 /** A finger from one point to another in the plane of the palm. */
 function finger(radius: number, [x, y]: [number, number], [to_x, to_y]: [number, number]): THREE.BufferGeometry {
   const length = Math.hypot(to_x - x, to_y - y);
-  const geometry = new THREE.CapsuleGeometry(radius, length, 4, 10)
+  const geometry = new THREE.CapsuleGeometry(radius, length, 2, 7)
     .rotateZ(Math.atan2(to_y - y, to_x - x) - Math.PI / 2)
     .translate((x + to_x) / 2, (y + to_y) / 2, 0);
   geometry.deleteAttribute("uv");
@@ -131,9 +131,9 @@ const FOOT: Ring[] = [
   [0.07, 0.016, 0.0255, -0.028], [0.098, 0.012, 0.025, -0.031], [0.117, 0.009, 0.0185, -0.0325], [0.126, 0.004, 0.009, -0.034],
 ];
 
-/** Solids of a segment, of which `side` is 1 on the right and -1 on the left. */
+/** A segment, as one solid: every one is a call to draw. */
 export function segmentShape(name: string): THREE.BufferGeometry {
-  return mergeGeometries(solids(name).map((solid) => (solid.index ? solid.toNonIndexed() : solid)));
+  return mergeGeometries(solids(name));
 }
 
 function solids(name: string): THREE.BufferGeometry[] {
