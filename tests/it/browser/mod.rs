@@ -175,6 +175,16 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     browser.until("document.getElementById('record-number').value === '2'").await;
     browser.click("tab-calibrate").await;
     browser.picture("calibrate").await;
+    // It is watched while the stage goes on, and back again.
+    browser.click("tab-replay").await;
+    browser.until("document.querySelector('#recordings .watch') !== null").await;
+    browser.value("document.querySelector('#recordings .watch').click()").await;
+    browser.until("location.pathname === '/takes/curls-01.mcap/'").await;
+    browser.until("document.getElementById('scrub')?.max > 0").await;
+    browser.until("document.getElementById('to-stage') !== null").await;
+    browser.click("to-stage").await;
+    browser.until("location.pathname === '/'").await;
+    browser.until(LIVE).await;
     done(browser, posed).await;
 
     let recording = folder.path().join("recordings/curls-01.mcap");

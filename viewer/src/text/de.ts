@@ -151,7 +151,8 @@ export const de: Text = {
     faults: "Fehler, neueste zuerst", faultHead: ["Zuletzt, s", "Sensor", "Ursache", "Male", "Zustand"], lasts: "dauert an", over: "vorbei", noFaults: "Bisher kein Fehler.",
   },
   replay: {
-    title: "Wiedergabe", live: "Dieser Daemon verfolgt eine laufende Stage. Um eine Aufnahme zu sehen, posed mit ihr starten; vergleichen lassen sich zwei unten.", command: (name) => `posed replay ${name}`,
+    title: "Wiedergabe", live: "Diese Stage läuft.", liveNext: "Eine Aufnahme des Ordners wählen, um sie anzusehen: Die Stage läuft währenddessen weiter.",
+    watch: "Ansehen", watchOf: (name) => `${name} ansehen`, back: "Zurück zur laufenden Stage",
     time: "Zeit in der Aufnahme, s", at: (t, of) => `${t} von ${of} s`, speed: "Tempo", pause: "Pause", fastest: "so schnell es geht",
     folder: "Aufnahmen im Ordner", open: "Öffnen", none: "noch keine", noneNext: "In der Leiste unten „Aufnehmen“ drücken: Was aufgenommen ist, steht hier.",
     compare: "Zwei Aufnahmen vergleichen", with: "mit", by: "nach", later: "die zweite später um", reading: "Lese …", over: "Beide Aufnahmen über der Zeit", first: "erste", second: "zweite",

@@ -150,7 +150,8 @@ export const en = {
     faults: "Faults, newest first", faultHead: ["Last, s", "Sensor", "Cause", "Times", "State"], lasts: "lasts", over: "over", noFaults: "No fault so far.",
   },
   replay: {
-    title: "Replay", live: "This daemon tracks a live stage. To watch a recording, start posed with it, or compare two of them below.", command: (name: string) => `posed replay ${name}`,
+    title: "Replay", live: "This stage is live.", liveNext: "Choose a recording of the folder to watch it: the stage goes on meanwhile.",
+    watch: "Watch", watchOf: (name: string) => `Watch ${name}`, back: "Back to the live stage",
     time: "time in the recording, s", at: (t: string, of: string) => `${t} of ${of} s`, speed: "Speed", pause: "pause", fastest: "as fast as it goes",
     folder: "Recordings in the folder", open: "Open", none: "none yet", noneNext: "Press Record in the bar below: what is recorded is listed here.",
     compare: "Compare two recordings", with: "with", by: "by", later: "the second later by", reading: "Reading …", over: "Both recordings over time", first: "first", second: "second",
