@@ -158,7 +158,7 @@ fn a_mounting_names_the_body_that_it_is_of() {
         worn.iter().map(|segment| mounted(&format!("{who}-{}", segment.name()))).collect()
     };
     let mut push = |body: Option<&str>, who: &str| {
-        let model = Model::Mounting { body: body.map(str::to_owned), sensors: sensors(who).into() };
+        let model = Model::Mounting { body: body.map(str::to_owned), sensors: sensors(who) };
         let before = pipeline.status().models_refused;
         let t = posed_drivers::Timestamp::ZERO;
         pipeline.push(&Entry { t, input: Input::Model(model) }, &mut |_| {});
