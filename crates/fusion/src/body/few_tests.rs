@@ -89,6 +89,9 @@ fn any_subset_of_any_posture_is_completed() {
             let q = posed_geometry::so3::exp(&(Vector3::from_fn(|_, _| random() - 0.5) * 6.0));
             (random() < 0.3).then_some(q)
         });
+        if known.iter().all(Option::is_none) {
+            continue;
+        }
         let inference = Inference::of(&known);
         for (k, q) in inference.orientations.iter().enumerate() {
             assert!((q.norm() - 1.0).abs() < 1e-9, "{q}");
