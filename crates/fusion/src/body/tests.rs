@@ -377,7 +377,7 @@ fn a_blow_as_sensors_are_switched_on_tilts_nothing() {
             sample.accel_m_s2 += V::new(-300.0, 2000.0, 900.0);
         }
         let estimate = filter.push(&samples, 0.01);
-        for (found, truth) in shown(&estimate).zip(&truth.body).filter(|_| frame > 500) {
+        for (found, truth) in shown(estimate).zip(&truth.body).filter(|_| frame > 500) {
             let truth = truth.orientation();
             worst_deg = worst_deg.max(found.unwrap().angle_to(&truth).to_degrees());
         }
@@ -401,7 +401,7 @@ fn who_is_switched_on_in_the_middle_of_a_movement_finds_back() {
                 let (samples, truth) = wearer.step();
                 let estimate = filter.push(&worn(samples), 0.01);
                 assert_eq!(estimate.faults, [None; SEGMENTS], "{activity:?} {seed}");
-                for (found, truth) in shown(&estimate).zip(&truth.body) {
+                for (found, truth) in shown(estimate).zip(&truth.body) {
                     let off_rad = found.unwrap().angle_to(&truth.orientation());
                     assert!(off_rad.to_degrees() < 12.0, "{activity:?} {seed}: {off_rad}");
                 }
