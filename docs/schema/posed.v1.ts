@@ -1355,6 +1355,8 @@ export type ReplayStatus = {
   ended: string | null;
   /** Its file name. */
   name: string;
+  /** Up to where it has been passed through, s: to any time before that it is sought in a moment. */
+  passed_s: number;
   /** Multiple of real time; 0 is a pause, null as fast as it goes. */
   speed: number | null;
   /** Where it stands, s. */
