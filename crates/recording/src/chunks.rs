@@ -3,6 +3,7 @@
 use std::fs::File;
 use std::io::{BufReader, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use mcap::records::op;
 
@@ -15,7 +16,7 @@ use super::summary::each_record;
 /// The chunks of a recording that has an index.
 pub struct Chunks {
     path: PathBuf,
-    header: Header,
+    header: Arc<Header>,
     known: Known,
     /// Where each begins in the file, bytes.
     places: Vec<u64>,
@@ -27,7 +28,7 @@ impl Chunks {
     /// # Errors
     /// It cannot be opened, or is no recording.
     pub fn read(path: &Path) -> Result<Option<Self>, ReadError> {
-        let header = Reader::open(path)?.header().clone();
+        let header = Arc::new(Reader::open(path)?.header().clone());
         let (mut known, mut places) = (Known::default(), Vec::new());
         let found = each_record(path, |opcode, data| {
             match opcode {
@@ -70,7 +71,7 @@ impl Chunks {
         let mut file = File::open(&self.path)?;
         file.seek(SeekFrom::Start(self.places[chunk]))?;
         let source = BufReader::with_capacity(1 << 16, file);
-        Ok(Reader::resumed(Records::resumed(source, self.known.clone()), self.header.clone()))
+        Ok(Reader::resumed(Records::resumed(source, self.known.clone()), Arc::clone(&self.header)))
     }
 }
 

@@ -52,7 +52,7 @@ pub struct Message {
 /// it ends.
 pub struct Reader<R> {
     records: Records<R>,
-    header: Header,
+    header: Arc<Header>,
     /// What each channel holds, by its id.
     kinds: BTreeMap<u16, Kind>,
     /// What is left of the newest bundle.
@@ -124,11 +124,11 @@ impl<R: Read> Reader<R> {
                 None => return Err(ReadError::NotARecording("it ends before its first chunk".to_owned())),
             }
         };
-        Ok(Self { next_entry: Some(0), ..Self::resumed(records, header) })
+        Ok(Self { next_entry: Some(0), ..Self::resumed(records, Arc::new(header)) })
     }
 
     /// Reads on where `records` stand.
-    pub(super) fn resumed(records: Records<R>, header: Header) -> Self {
+    pub(super) fn resumed(records: Records<R>, header: Arc<Header>) -> Self {
         Self {
             records,
             header,
