@@ -40,6 +40,8 @@ pub(super) struct Player {
     stage: Stage,
     health: Health,
     playing: Playing,
+    /// Of what is played.
+    waypoints: Option<Waypoints>,
     seeking: Option<Seeking>,
 }
 
@@ -79,7 +81,6 @@ struct Playing {
     /// Host time and stream time at which `speed` was set.
     since: (Timestamp, Timestamp),
     ended: Option<String>,
-    waypoints: Option<Waypoints>,
 }
 
 impl Player {
@@ -91,10 +92,11 @@ impl Player {
         speed: f64,
     ) -> Result<Self, PlayError> {
         let Outlet { clock, hub, jobs } = outlet;
+        let waypoints = Waypoints::look_for(&played);
         let playing = Playing::open(played, None, speed, clock.now())?;
         let stage = Stage::parse(&playing.reader.header().stage_toml).map_err(MachineError::from)?;
         let health = Health::new(&stage);
-        Ok(Self { clock, calls, hub, jobs, folder, stage, health, playing, seeking: None })
+        Ok(Self { clock, calls, hub, jobs, folder, stage, health, playing, waypoints, seeking: None })
     }
 
     /// Runs until nobody can call any more.
@@ -154,8 +156,10 @@ impl Player {
                 let path = recordings::find(&self.folder, &name)?;
                 let end = Outline::read(&path).map_err(Refusal::failed)?.end;
                 let (speed, now) = (self.playing.speed, self.clock.now());
-                self.playing = Playing::open(Played { path, end }, Some(&self.stage), speed, now)
-                    .map_err(Refusal::failed)?;
+                let played = Played { path, end };
+                self.playing =
+                    Playing::open(played.clone(), Some(&self.stage), speed, now).map_err(Refusal::failed)?;
+                self.waypoints = Waypoints::look_for(&played);
                 self.end_seeking(Err("another recording was opened".into()));
                 self.hub.rewind();
                 Ok(None)
@@ -220,8 +224,11 @@ impl Player {
     /// Sets out for `t`, through the pipeline: filters arrive there as they did live. Says the job's number.
     fn seek(&mut self, t: Timestamp) -> Result<u64, PlayError> {
         let (now, back) = (self.clock.now(), t < self.playing.at);
-        if self.playing.leap(t, back, now) {
-            // On from a place that is closer.
+        // The last known place before it, where that is closer than where it stands.
+        let than = if back { self.playing.begun } else { self.playing.at };
+        let resumed = self.waypoints.as_ref().and_then(|waypoints| waypoints.before(t, than));
+        if let Some(resumed) = resumed {
+            self.playing.resume(resumed, now);
         } else if back {
             let Playing { played, speed, .. } = &self.playing;
             self.playing = Playing::open(played.clone(), Some(&self.stage), *speed, now)?;
@@ -271,8 +278,7 @@ impl Player {
     }
 
     fn publish_status(&mut self, now: Timestamp) {
-        let Playing { played: Played { path, end }, pipeline, begun, at, speed, ended, waypoints, .. } =
-            &self.playing;
+        let Playing { played: Played { path, end }, pipeline, begun, at, speed, ended, .. } = &self.playing;
         let mut status = self.health.status(now, &pipeline.status(), None, &self.clock);
         status.replay = Some(ReplayStatus {
             name: path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
@@ -281,7 +287,7 @@ impl Player {
             t_s: at.as_secs_f64(),
             speed: speed.is_finite().then_some(*speed),
             ended: ended.clone(),
-            passed_s: waypoints.as_ref().map_or(*at, Waypoints::until).max(*begun).as_secs_f64(),
+            passed_s: self.waypoints.as_ref().map_or(*at, Waypoints::until).max(*begun).as_secs_f64(),
         });
         self.hub.publish_status(status);
     }
@@ -300,7 +306,6 @@ impl Playing {
             return Err(PlayError::OtherStage { stage: stage.name });
         }
         let begun = reader.header().begun;
-        let waypoints = Waypoints::look_for(&played);
         let mut playing = Self {
             played,
             reader,
@@ -311,21 +316,16 @@ impl Playing {
             speed,
             since: (now, begun),
             ended: None,
-            waypoints,
         };
         playing.read_next();
         Ok(playing)
     }
 
-    /// Goes to the last known place before `t`; false where there is none, or none closer than where it stands, unless it has to go `back`.
-    fn leap(&mut self, t: Timestamp, back: bool, now: Timestamp) -> bool {
-        let than = if back { self.begun } else { self.at };
-        let resumed = self.waypoints.as_ref().and_then(|waypoints| waypoints.before(t, than));
-        let Some(Resumed { t, reader, pipeline }) = resumed else { return false };
+    /// Goes on from a waypoint.
+    fn resume(&mut self, Resumed { t, reader, pipeline }: Resumed, now: Timestamp) {
         (self.reader, self.pipeline, self.at) = (reader, pipeline, t);
         (self.next, self.ended, self.since) = (None, None, (now, t));
         self.read_next();
-        true
     }
 
     /// Host time of the next entry; `None` in a pause and at the end.

@@ -17,7 +17,7 @@ use posed_recording::{Chunks, Item, Machine, Reader};
 use super::player::{PlayError, Played};
 
 /// What the pipelines of one recording may take, bytes.
-const MOST_BYTES: f64 = 128e6;
+const MOST_BYTES: usize = 128 << 20;
 /// They are not closer than this in stage time: so much is passed through in milliseconds.
 const CLOSEST_S: f64 = 1.0;
 /// Entries between two looks at whether anybody still watches.
@@ -62,7 +62,7 @@ impl Waypoints {
         #[expect(clippy::disallowed_methods, reason = "the daemon owns this thread, too")]
         let thread = std::thread::Builder::new().name("waypoints".into()).spawn(move || {
             let _ = rustix::process::nice(NICE);
-            if let Err(error) = filled.pass_through(&played) {
+            if let Err(error) = filled.pass_through(&played, MOST_BYTES) {
                 // What came before is of use, and who watches meets the same.
                 tracing::debug!(%error, "no more waypoints");
             }
@@ -95,7 +95,7 @@ impl Drop for Waypoints {
 }
 
 impl Found {
-    fn pass_through(&self, played: &Played) -> Result<(), PlayError> {
+    fn pass_through(&self, played: &Played, most_bytes: usize) -> Result<(), PlayError> {
         let reader = Reader::open(&played.path)?;
         let (_, Machine { mut pipeline, .. }) = Machine::as_recorded(reader.header())?;
         let begun = reader.header().begun;
@@ -111,7 +111,7 @@ impl Found {
                 self.until_ns.fetch_max(entry.t.as_nanos(), Ordering::Relaxed);
             }
             if entry.t >= next {
-                let distance_s = duration_s * pipeline.snapshot().len() as f64 / MOST_BYTES;
+                let distance_s = duration_s * pipeline.snapshot().len() as f64 / most_bytes as f64;
                 next = entry.t + Duration::from_secs_f64(distance_s.max(CLOSEST_S));
                 let waypoint = Waypoint { t: entry.t, entry: number, pipeline: pipeline.clone() };
                 self.waypoints.lock().unwrap_or_else(PoisonError::into_inner).push(waypoint);
@@ -121,5 +121,44 @@ impl Found {
         }
         self.until_ns.fetch_max(played.end.as_nanos(), Ordering::Relaxed);
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use posed_recording::{Header, Writer};
+    use posed_stage::Stage;
+    use posed_stage::input::{Entry, Input};
+
+    use super::*;
+
+    #[test]
+    fn places_of_a_long_recording_are_further_apart_and_take_no_more_than_their_share() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("long.mcap");
+        let toml = "name = \"Empty\"\n";
+        let header = Header::new(&Stage::parse(toml).unwrap(), toml, 0);
+        let mut writer = Writer::new(File::create(&path).unwrap(), header).unwrap();
+        let at = |s: u64| Timestamp::ZERO + Duration::from_secs(s);
+        for s in 0..3600 {
+            writer.entry(&Entry { t: at(s), input: Input::Timer }).unwrap();
+        }
+        writer.finish("enough").unwrap();
+        let played = Played { path, end: at(3599) };
+        let bytes = |most_bytes: usize| {
+            let found = Found::default();
+            found.pass_through(&played, most_bytes).unwrap();
+            assert_eq!(found.until_ns.load(Ordering::Relaxed), played.end.as_nanos());
+            let waypoints = found.waypoints.into_inner().unwrap();
+            (
+                waypoints.len(),
+                waypoints.iter().map(|waypoint| waypoint.pipeline.snapshot().len()).sum::<usize>(),
+            )
+        };
+        let (closest, one) = bytes(MOST_BYTES);
+        assert_eq!(closest, 3599);
+        let share = one / 100;
+        let (apart, few) = bytes(share);
+        assert!(apart > 50 && few < share + share / 10, "{apart} places of {few} bytes, {share} given");
     }
 }
