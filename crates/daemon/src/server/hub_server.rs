@@ -141,16 +141,8 @@ impl StageRegistry {
         published: &[Topic],
         last_event_id: u64,
     ) -> StageEndpoint {
-        let ConnectionContext { access, limits, metrics, slots, outboxes, .. } = &*self.registered.context;
         let (shutdown, seen) = watch::channel(false);
-        let context = ConnectionContext {
-            access: access.clone(),
-            limits: limits.clone(),
-            metrics: Arc::clone(metrics),
-            slots: slots.clone(),
-            outboxes: outboxes.clone(),
-            shutdown: seen,
-        };
+        let context = self.registered.context.until(seen);
         let topics = topics_of(stage, published);
         // What is wrong at the stage's own daemon comes with its status.
         let problems = Vec::new();

@@ -36,6 +36,21 @@ pub(super) struct ConnectionContext {
     pub(super) shutdown: watch::Receiver<bool>,
 }
 
+impl ConnectionContext {
+    /// The same for connections that end by a word of their own.
+    pub(super) fn until(&self, shutdown: watch::Receiver<bool>) -> Self {
+        let Self { access, limits, metrics, slots, outboxes, shutdown: _ } = self;
+        Self {
+            access: access.clone(),
+            limits: limits.clone(),
+            metrics: Arc::clone(metrics),
+            slots: slots.clone(),
+            outboxes: outboxes.clone(),
+            shutdown,
+        }
+    }
+}
+
 /// A time of the limits.
 pub(super) fn seconds(s: f64) -> Duration {
     Duration::from_secs_f64(s)

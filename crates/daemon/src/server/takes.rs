@@ -48,7 +48,7 @@ pub(crate) struct Take {
     pub(crate) play: Play,
 }
 
-/// Begins to play into a hub, answering calls, until it is told to end; inside a tokio runtime, and does not wait.
+/// Begins to play into a hub, answering calls, until it is asked to end; inside a tokio runtime, and does not wait.
 pub(crate) type Play =
     Box<dyn FnOnce(Hub, mpsc::Receiver<PendingCall>, watch::Receiver<bool>) -> Result<(), TakeError> + Send>;
 
@@ -71,11 +71,17 @@ pub(super) struct Takes {
     open: Arc<Mutex<BTreeMap<String, Open>>>,
 }
 
-/// One that is open; its clients are told goodbye when it is dropped.
+/// One that is open; its clients get a goodbye when it is dropped.
 struct Open {
     shared: Arc<Shared>,
     watchers: watch::Sender<usize>,
     shutdown: watch::Sender<bool>,
+}
+
+impl Open {
+    fn watch(&self) -> (Arc<Shared>, Watcher) {
+        (Arc::clone(&self.shared), Watcher::of(&self.watchers))
+    }
 }
 
 impl Drop for Open {
@@ -120,8 +126,8 @@ impl Takes {
 
     /// The take of that name, which is opened if it is not open.
     async fn watch(&self, name: &str) -> Result<(Arc<Shared>, Watcher), TakeError> {
-        if let Some(found) = self.find(name) {
-            return Ok(found);
+        if let Some(open) = self.all().get(name) {
+            return Ok(open.watch());
         }
         let (shelf, wanted) = (Arc::clone(&self.shelf), name.to_owned());
         let take = tokio::task::spawn_blocking(move || shelf.open(&wanted))
@@ -130,32 +136,18 @@ impl Takes {
         self.begin(name, take)
     }
 
-    fn find(&self, name: &str) -> Option<(Arc<Shared>, Watcher)> {
-        let open = self.all();
-        let take = open.get(name)?;
-        Some((Arc::clone(&take.shared), Watcher::of(&take.watchers)))
-    }
-
     fn begin(&self, name: &str, take: Take) -> Result<(Arc<Shared>, Watcher), TakeError> {
         let mut all = self.all();
         // Somebody else may have opened it meanwhile.
-        if let Some(take) = all.get(name) {
-            return Ok((Arc::clone(&take.shared), Watcher::of(&take.watchers)));
+        if let Some(open) = all.get(name) {
+            return Ok(open.watch());
         }
         if all.len() >= MOST {
             return Err(TakeError::TooMany);
         }
         let Take { stage, epoch_utc_ns, topics, play } = take;
-        let ConnectionContext { access, limits, metrics, slots, outboxes, .. } = &*self.context;
         let (shutdown, down) = watch::channel(false);
-        let context = Arc::new(ConnectionContext {
-            access: access.clone(),
-            limits: limits.clone(),
-            metrics: Arc::clone(metrics),
-            slots: slots.clone(),
-            outboxes: outboxes.clone(),
-            shutdown: down.clone(),
-        });
+        let context = Arc::new(self.context.until(down.clone()));
         let info = StageInfo {
             epoch_utc_ns,
             topics: topics_of(&stage, &topics),
@@ -169,8 +161,8 @@ impl Takes {
             StageServices::new(&stage, info, &context, Arc::clone(&own));
         let hub = Hub::default();
         play(hub.clone(), calls, down.clone())?;
-        let distributor =
-            Distributor::new(Arc::clone(&shared.names), limits.clone(), own, Counters::default());
+        let limits = context.limits.clone();
+        let distributor = Distributor::new(Arc::clone(&shared.names), limits, own, Counters::default());
         let outlets =
             Outlets { distributor, viewers, vrpn: None, datagrams: Vec::new(), lsl: None, feed: None };
         let distributing = distribute(outlets, hub, commands, Arc::clone(&shared));
@@ -182,10 +174,11 @@ impl Takes {
             }
         });
         let (watchers, seen) = watch::channel(0);
-        let watcher = Watcher::of(&watchers);
-        all.insert(name.to_owned(), Open { shared: Arc::clone(&shared), watchers, shutdown });
+        let open = Open { shared, watchers, shutdown };
+        let watched = open.watch();
+        all.insert(name.to_owned(), open);
         tokio::spawn(self.clone().keep(name.to_owned(), seen));
-        Ok((shared, watcher))
+        Ok(watched)
     }
 
     /// Closes a take when nobody has watched it for a while, or the server ends.
