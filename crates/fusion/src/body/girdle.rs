@@ -4,7 +4,7 @@
 //! shoulder says how its joint is accelerated, which a shrug moves and the torso does not know.
 
 use super::skeleton::{BodySegment, Limb};
-use super::{BodyFilter, BodySamples, HOLD_S, SETTLED_S, health};
+use super::{BodyFilter, BodySamples, health};
 use crate::limb::Base;
 use posed_geometry::so3::lever;
 
@@ -22,7 +22,7 @@ impl BodyFilter {
         let shoulder: BodySegment = upper.shoulder()?;
         let sensor = self.sensors[shoulder.index()].as_ref()?;
         let sample = samples[shoulder.index()].filter(health::usable)?;
-        if sensor.settled_s < SETTLED_S || sensor.behind_s > HOLD_S {
+        if !sensor.is_settled() {
             return None;
         }
         let mount = &sensor.mount;

@@ -15,7 +15,7 @@ use posed_state::Plain;
 use super::moving::Moving;
 use super::sensor::Sensor;
 use super::skeleton::{BodySegment, Limb};
-use super::{AHEAD_RAD, BodyFilter, BodySamples, HOLD_S, SETTLED_S, SensorMount, health, yaw_from_upright};
+use super::{AHEAD_RAD, BodyFilter, BodySamples, SensorMount, health, yaw_from_upright};
 use crate::ahrs::CALIBRATED_HEADING_RAD;
 
 /// Headings: those of [`ALONE`], each by its own sensor, and of the limbs, whose two segments a hinge holds together.
@@ -337,12 +337,18 @@ impl BodyFilter {
         }
         let moves = BodySegment::ALL.map(|segment| self.moves(segment, samples));
         let links = &mut self.links;
-        for segment in BodySegment::ALL {
-            let Some((moving, _)) = &moves[segment.index()] else { continue };
-            // The two gyros of a limb, with errors of their own, share its heading.
-            let share = if ALONE.contains(&segment) { 1.0 } else { 0.5 };
+        // Gyros of one limb, with errors of their own, share its heading.
+        let mut gyros = [0.0; UNITS];
+        let moving = || {
+            BodySegment::ALL
+                .into_iter()
+                .zip(&moves)
+                .filter_map(|(s, moves)| Some((unit(s), &moves.as_ref()?.0)))
+        };
+        moving().for_each(|(u, _)| gyros[u] += 1.0);
+        for (u, moving) in moving() {
             let turns_rad_s = (moving.q_room_segment * moving.angular_velocity_rad_s).z;
-            links.turned_rad[unit(segment)] += share * turns_rad_s * dt_s;
+            links.turned_rad[u] += turns_rad_s * dt_s / gyros[u];
         }
         for (link, felt) in LINKS.iter().zip(&mut links.felt) {
             let Some(parent) = link.below.parent() else { continue };
@@ -371,8 +377,7 @@ impl BodyFilter {
         let sample = samples[segment.index()].filter(health::usable)?;
         let q_room_segment = self.estimate.orientations[segment.index()]?;
         let SensorMount { q_segment_sensor, offset_m, .. } = &sensor.mount;
-        let settled = sensor.settled_s >= SETTLED_S && sensor.behind_s <= HOLD_S;
-        settled.then(|| (sensor.moving(&sample, q_segment_sensor, q_room_segment), *offset_m))
+        sensor.is_settled().then(|| (sensor.moving(&sample, q_segment_sensor, q_room_segment), *offset_m))
     }
 
     /// What identifies the heading of each unit; `None` where no sensor does.

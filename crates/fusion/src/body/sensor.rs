@@ -9,7 +9,7 @@ use posed_state::Plain;
 use super::health::{self, Watch};
 use super::moving::Moving;
 use super::skeleton::{BodySegment, SEGMENTS};
-use super::{HOLD_S, SensorMount, yaw_from_upright};
+use super::{HOLD_S, SETTLED_S, SensorMount, yaw_from_upright};
 use crate::ahrs::{Ahrs, CALIBRATED_HEADING_RAD, CALIBRATED_TILT_RAD, ImuSample, Params};
 use posed_geometry::{GRAVITY_M_S2, so3};
 
@@ -65,6 +65,11 @@ impl Sensor {
             heading: UnitQuaternion::identity(),
             watch: Watch::default(),
         }
+    }
+
+    /// Whether it shows its segment now, and has done so for long enough to be held against others.
+    pub(super) fn is_settled(&self) -> bool {
+        self.settled_s >= SETTLED_S && self.behind_s <= HOLD_S
     }
 
     /// Whether movements show how it sits: what was given as exact stays.
