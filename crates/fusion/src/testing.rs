@@ -6,9 +6,6 @@ use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Runs that a matched model is averaged over.
-const RUNS: u64 = 50;
-
 /// Seeded chance.
 pub(super) struct Random(ChaCha8Rng);
 
@@ -31,14 +28,14 @@ impl Random {
     }
 }
 
-/// Share of the steps at which the normalised squared error, averaged over [`RUNS`] runs, lies within `bounds`; `run` tells the errors
-/// of one run, step by step.
-pub(super) fn consistency(bounds: &Range<f64>, mut run: impl FnMut(Random) -> Vec<f64>) -> f64 {
+/// Share of the steps at which the normalised squared error, averaged over `runs`, lies within `bounds`; `run` has the errors
+/// of one run, step by step. Steps of a run are not independent: few runs give a share that is chance.
+pub(super) fn consistency(runs: u64, bounds: &Range<f64>, mut run: impl FnMut(Random) -> Vec<f64>) -> f64 {
     let mut sums: Vec<f64> = Vec::new();
-    for number in 0..RUNS {
+    for number in 0..runs {
         let errors = run(Random::new(number));
         sums.resize(errors.len(), 0.0);
-        sums.iter_mut().zip(&errors).for_each(|(sum, error)| *sum += error / RUNS as f64);
+        sums.iter_mut().zip(&errors).for_each(|(sum, error)| *sum += error / runs as f64);
     }
     sums.iter().filter(|sum| bounds.contains(*sum)).count() as f64 / sums.len() as f64
 }

@@ -403,7 +403,7 @@ mod tests {
         let others = [0, 1, 2, 6, 7, 8, 9, 10];
         let params = HeadingParams::default();
         // 95 % of chi squared with 400 degrees of freedom, over 50.
-        let inside = consistency(&(6.93..9.15), |mut random| {
+        let inside = consistency(50, &(6.93..9.15), |mut random| {
             let mut filter = Heading::new(&params);
             filter.unit = 1.0;
             filter.x[EARTH + 1] = 0.4;

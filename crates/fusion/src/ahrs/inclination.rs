@@ -301,7 +301,7 @@ mod tests {
         const WINDOWS: usize = 200;
         let params = InclinationParams::default();
         // 95 % of chi squared with 500 degrees of freedom, over 50.
-        let inside = consistency(&(8.80..11.28), |mut random| {
+        let inside = consistency(50, &(8.80..11.28), |mut random| {
             let mut filter = Inclination::new(&params);
             let mut truth = filter.clone();
             truth.x += SVector::from_fn(|i, _| filter.p[(i, i)].sqrt() * random.normal());

@@ -414,7 +414,7 @@ fn normalised_errors(turning: f64, mut random: Random) -> Vec<f64> {
 #[test]
 fn errors_are_no_larger_than_the_covariance_says() {
     for turning in [0.0, 0.5, 3.0] {
-        let inside = consistency(&(0.05..3.72), |random| normalised_errors(turning, random));
+        let inside = consistency(50, &(0.05..3.72), |random| normalised_errors(turning, random));
         assert!(inside >= 0.95, "{inside} at {turning} rad/s");
     }
 }
