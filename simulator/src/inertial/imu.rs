@@ -196,7 +196,7 @@ mod tests {
         Imu::new(sensor, EarthSpec::default(), errors, Random::new(1, Purpose::Signals(0)))
     }
 
-    /// Skin turns the sensor of somebody who walks as far as it is told, not of one who stands, and what it measures is how it then is.
+    /// Skin turns the sensor of somebody who walks as far as is set, not of one who stands, and what it measures is how it then is.
     #[test]
     fn skin_turns_a_sensor_with_its_acceleration_and_the_sensor_feels_it() {
         const SKIN_DEG_PER_M_S2: f64 = 0.06;
