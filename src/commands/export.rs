@@ -2,9 +2,8 @@
 
 use std::path::PathBuf;
 
-use posed_recording::animation::{self, BoneNames, OpensimModel};
-use posed_recording::export::{self, Frame};
-use posed_recording::movement;
+use posed_recording::animation::{BoneNames, OpensimModel};
+use posed_recording::export::{Export, Format, Frame};
 
 use super::progress::Progress;
 use super::{Error, print, print_json};
@@ -43,65 +42,16 @@ pub(crate) struct Args {
     json: bool,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Format {
-    Jsonl,
-    Csv,
-    Bvh,
-    Trc,
-    Glb,
-    Vrm,
-    Vrma,
-    Usda,
-    C3d,
-    Sto,
-    Mot,
-    Mcap,
-}
-
 pub(crate) fn run(args: Args) -> Result<(), Error> {
-    let Args { recording, to, output, bones, model, body: who, frame, json } = args;
+    let Args { recording, to, output, bones, model, body, frame, json } = args;
+    let export = Export { format: to, bones, model, body, frame };
+    export.check().map_err(|error| Error::Usage(error.to_string()))?;
     let mut progress = Progress::over(&recording, "exporting");
-    if frame != Frame::Room && to != Format::Csv {
-        return Err(Error::Usage("--frame is for --to csv; everything else is in the room's axes".into()));
-    }
-    if bones != BoneNames::Posed && to != Format::Bvh {
-        return Err(Error::Usage(
-            "--bones is for --to bvh; the other formats have names of their own".into(),
-        ));
-    }
-    if model != OpensimModel::Rajagopal && to != Format::Mot {
-        return Err(Error::Usage("--model is for --to mot".into()));
-    }
-    if who.is_some() && matches!(to, Format::Jsonl | Format::Csv | Format::Mcap) {
-        return Err(Error::Usage(
-            "--body is for formats that show a body; this one holds all of them".into(),
-        ));
-    }
-    let mut body = |format| {
-        let at = |bytes| progress.at(bytes);
-        movement::animation(&recording, &output, format, who.as_deref(), at).map_err(Error::failed)
+    let at = |bytes| {
+        progress.at(bytes);
+        true
     };
-    let rows = match to {
-        Format::Bvh => body(animation::Format::Bvh(bones))?,
-        Format::Trc => body(animation::Format::Trc)?,
-        Format::Glb => body(animation::Format::Glb)?,
-        Format::Vrm => body(animation::Format::Vrm)?,
-        Format::Vrma => body(animation::Format::Vrma)?,
-        Format::Usda => body(animation::Format::Usda)?,
-        Format::C3d => body(animation::Format::C3d)?,
-        Format::Sto => body(animation::Format::Sto)?,
-        Format::Mot => body(animation::Format::Mot(model))?,
-        Format::Jsonl => {
-            export::jsonl(&recording, &output, |bytes| progress.at(bytes)).map_err(Error::failed)?
-        }
-        Format::Mcap => {
-            export::full(&recording, &output, |bytes| progress.at(bytes)).map_err(Error::failed)?
-        }
-        Format::Csv => {
-            export::csv(&recording, &output, frame, |bytes| progress.at(bytes)).map_err(Error::failed)?
-        }
-    };
+    let rows = export.write(&recording, &output, at).map_err(Error::failed)?;
     drop(progress);
     if json {
         print_json(&serde_json::json!({ "rows": rows }))

@@ -37,6 +37,9 @@ pub enum ReadError {
         "the recording holds what this version of posed does not know: {0}; open it with a newer version"
     )]
     Newer(String),
+    /// Who asked for it wants it no more.
+    #[error("it was cancelled")]
+    Cancelled,
     /// Its messages cannot be made anew from its log.
     #[error(transparent)]
     Machine(#[from] MachineError),

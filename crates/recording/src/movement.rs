@@ -5,6 +5,7 @@ use std::path::Path;
 use nalgebra::Vector3;
 use thiserror::Error;
 
+use super::export::go_on;
 use super::{Item, ReadError, Take};
 use crate::animation::{Animation, AnimationError, Format};
 use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton, completed};
@@ -35,7 +36,7 @@ pub enum MovementError {
 /// Writes a body of a recording, the one of that name or the only one, as an animation; returns the number of its `body` messages, which are its frames. Segments that
 /// nothing showed stand as their parents do. The hips are where the pelvis, or else the first segment with a position, puts them;
 /// without any position they are above the room's origin, with the lower foot on the floor. `progress` receives the bytes of the
-/// recording read so far.
+/// recording read so far and says whether to go on.
 ///
 /// # Errors
 /// The recording cannot be read, holds no body or only one frame of it, or the file cannot be written; nothing is left behind.
@@ -44,7 +45,7 @@ pub fn animation(
     output: &Path,
     format: Format,
     body: Option<&str>,
-    mut progress: impl FnMut(u64),
+    mut progress: impl FnMut(u64) -> bool,
 ) -> Result<u64, MovementError> {
     let mut take = Take::open(recording)?;
     let stage = Stage::parse(&take.header().stage_toml)
@@ -55,7 +56,7 @@ pub fn animation(
     let mut animation = Animation::new(skeleton);
     let mut frames = 0;
     while let Some(item) = take.next() {
-        progress(take.bytes_read());
+        go_on(progress(take.bytes_read()))?;
         let Item::Message(message) = item? else { continue };
         if &*message.topic != "body" {
             continue;

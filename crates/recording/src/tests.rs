@@ -558,13 +558,13 @@ fn exported_poses_are_in_room_or_transmitter_axes() {
         write(&mut writer, &item).unwrap();
     }
     writer.finish("x").unwrap();
-    assert_eq!(export::csv(&path, &output, export::Frame::Room, |_| ()).unwrap(), 4);
+    assert_eq!(export::csv(&path, &output, export::Frame::Room, |_| true).unwrap(), 4);
     let room = std::fs::read_to_string(&output).unwrap();
     let lines: Vec<_> = room.lines().collect();
     assert_eq!(lines[0], "t,sensor,x,y,z,qw,qx,qy,qz,state");
     assert_eq!(lines[1], "0,left,1.5,2.25,3.125,1,0,0,0,ok");
     assert_eq!(lines[4], "1,right,1,2,3,1,0,0,0,suspect");
-    export::csv(&path, &output, export::Frame::Transmitter, |_| ()).unwrap();
+    export::csv(&path, &output, export::Frame::Transmitter, |_| true).unwrap();
     let poses = crate::table::Poses::read(&output).unwrap();
     // Half a turn about x, at (1, 2, 3).
     assert_eq!(poses.rows[0].position_m, Some([0.5, -0.25, -0.125]));
@@ -574,7 +574,7 @@ fn exported_poses_are_in_room_or_transmitter_axes() {
     // Only what may be used as good.
     let usable = crate::table::Poses::read(&path).unwrap();
     assert_eq!((usable.rows.len(), usable.sensors.as_slice()), (2, &["left".to_owned()][..]));
-    assert_eq!(export::jsonl(&path, &output, |_| ()).unwrap(), 2);
+    assert_eq!(export::jsonl(&path, &output, |_| true).unwrap(), 2);
     assert_eq!(
         std::fs::read_to_string(&output).unwrap(),
         format!("{}\n{}\n", sensors(0), sensors(1_000_000_000))
