@@ -219,3 +219,13 @@ fn a_full_disk_refuses_a_repetition_whole_and_takes_it_when_there_is_room() {
     store.add(session, &one).unwrap();
     assert_eq!(store.session(session).unwrap().repetitions().count(), 1);
 }
+
+#[test]
+fn a_recording_that_has_another_name_is_still_that_of_its_sessions() {
+    let mut store = Store::in_memory().unwrap();
+    let session = begin(&mut store, PERSON);
+    assert_eq!(store.rename_recording("other.mcap", "b.mcap").unwrap(), 0);
+    assert_eq!(store.rename_recording("a.mcap", "b.mcap").unwrap(), 1);
+    assert_eq!(store.session(session).unwrap().summary.recording.as_deref(), Some("b.mcap"));
+    assert_eq!(store.forget(PERSON).unwrap().recordings, ["b.mcap"]);
+}

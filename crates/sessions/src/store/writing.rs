@@ -128,6 +128,15 @@ impl Store {
         }
     }
 
+    /// A recording has another name; how many sessions are in it.
+    ///
+    /// # Errors
+    /// The database does not serve.
+    pub fn rename_recording(&mut self, from: &str, to: &str) -> Result<usize, StoreError> {
+        let rename = "UPDATE session SET recording = ?2 WHERE recording = ?1";
+        Ok(self.connection.execute(rename, params![from, to])?)
+    }
+
     /// Ends the sessions of a stage that a daemon has left open when it broke off, with their last repetitions; how many.
     ///
     /// # Errors
