@@ -15,7 +15,7 @@ export type AnchorSpec = {
 };
 
 /** What a request was answered with; which one gets which: [`Answers`]. All others are answered with `ok` alone. */
-export type Answer = Resumed | RecordingBegun | Started | Forgotten | Recordings | Tracked | Exercises | Demonstration | MapVersion | KeptFile | SessionBegun | ListedSessions | Shown | Report | People | Plans;
+export type Answer = Resumed | RecordingBegun | Started | Forgotten | Recordings | Tracked | Takes | Digested | Removed | Look | HealthHistory | Exercises | Demonstration | MapVersion | KeptFile | SessionBegun | ListedSessions | Shown | Report | People | Plans | Renamed;
 
 /** The `result` of each request that has one, by the request's `type`. */
 export type Answers = {
@@ -28,9 +28,18 @@ export type Answers = {
   "field.accept": MapVersion;
   "field.finish": Started;
   "field.rollback": MapVersion;
+  "health.history": HealthHistory;
   "imu.calibrate": Started;
+  "library.digest": Digested;
+  "library.empty_bin": Removed;
+  "library.export": Started;
+  "library.list": Takes;
+  "library.remove": Renamed;
+  "library.rename": Renamed;
+  "library.restore": Renamed;
   "record.start": RecordingBegun;
   "replay.list": Recordings;
+  "replay.look": Look;
   "replay.seek": Started;
   "replay.track": Tracked;
   resume: Resumed;
@@ -79,7 +88,7 @@ export type CalibratedSegment = {
   quat_wxyz: [number, number, number, number];
 };
 
-/** Requests for the daemon. All but `replay.list`, `replay.track`, `exercise.list` and `exercise.demonstration` need the role `operate`. */
+/** Requests for the daemon. All but those that only tell something need the role `operate`: `replay.list`, `replay.track`, `replay.look`, `library.list`, `library.digest` without `make`, `health.history`, `exercise.list` and `exercise.demonstration`. */
 export type Call = {
   /** The reply carries it. */
   id: RequestId;
@@ -126,6 +135,70 @@ export type Call = {
   /** Multiple of real time; 0 pauses. */
   speed: Speed;
   type: "replay.speed";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** Seconds since the recording's epoch. */
+  t_s: number;
+  type: "replay.look";
+} | {
+  /** Those in the bin instead; absent: those in the folder. */
+  bin?: boolean;
+  /** The reply carries it. */
+  id: RequestId;
+  type: "library.list";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** Whether a job makes one where there is none: by a replay, as long as that takes; needs the role `operate`. Absent: no. */
+  make?: boolean;
+  /** A name that `library.list` gave. */
+  name: string;
+  type: "library.digest";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** A name that `library.list` gave. */
+  name: string;
+  /** File name of letters, digits, `-`, `_`, `.` and spaces, without a path; one that is free. */
+  to: string;
+  type: "library.rename";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** A name that `library.list` gave. */
+  name: string;
+  type: "library.remove";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** A name that `library.list` of the bin gave. */
+  name: string;
+  type: "library.restore";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  type: "library.empty_bin";
+} | {
+  /** As `--body`: which of several bodies is shown, by name. */
+  body?: string | null;
+  /** As `--bones`, for `bvh`; absent: `posed`. */
+  bones?: string | null;
+  /** As `--to` of `posed export`: `csv`, `jsonl`, `bvh`, `trc`, `glb`, `vrm`, `vrma`, `usda`, `c3d`, `sto`, `mot`, `mcap`. */
+  format: string;
+  /** As `--frame`, for `csv`: `room` or `transmitter`; absent: `room`. */
+  frame?: string | null;
+  /** The reply carries it. */
+  id: RequestId;
+  /** As `--model`, for `mot`; absent: `rajagopal`. */
+  model?: string | null;
+  /** A name that `library.list` gave. */
+  name: string;
+  type: "library.export";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  type: "health.history";
 } | {
   /** The reply carries it. */
   id: RequestId;
@@ -449,6 +522,86 @@ export type DeviceStatus = {
   state: LinkState;
 };
 
+/** What happens in a recording. Times are stage time, s, as in `status.replay`. Of more than 2000 of a kind an even choice is listed. */
+export type Digest = {
+  /** Stage time at which the recording begins, s. */
+  begun_s: number;
+  /** How many of each kind happened. */
+  counts: DigestCounts;
+  /** How many of each kind are not listed. */
+  dropped: DigestCounts;
+  /** Faults of sensors. One that has gone on since before the recording is in it from its end on. */
+  faults: FaultSpan[];
+  /** Confirmed key poses. */
+  key_poses: DigestKeyPose[];
+  /** From there to its last entry, s. */
+  length_s: number;
+  /** Moments that somebody noted. */
+  marks: DigestMark[];
+  /** Where sensors went. */
+  picture: Picture;
+  /** Repetitions that were judged. */
+  repetitions: DigestRepetition[];
+  /** Segments of motion. */
+  segments: SegmentSpan[];
+};
+
+/** How many of each kind there are. */
+export type DigestCounts = {
+  /** Faults of sensors that began or went on. */
+  faults: number;
+  /** Confirmed key poses. */
+  key_poses: number;
+  /** Moments that somebody noted. */
+  marks: number;
+  /** Repetitions of exercises that were judged. */
+  repetitions: number;
+  /** Segments of motion. */
+  segments: number;
+};
+
+/** A frame at which a sensor's motion changes. */
+export type DigestKeyPose = {
+  /** Which sensor. */
+  sensor: string;
+  /** When, s. */
+  t_s: number;
+};
+
+/** A moment that somebody noted. */
+export type DigestMark = {
+  /** What happened, in their words; may be empty. */
+  label: string;
+  /** When, s. */
+  t_s: number;
+};
+
+/** A repetition that was judged. */
+export type DigestRepetition = {
+  /** Whether it counts. */
+  counted: boolean;
+  /** The exercise. */
+  exercise: string;
+  /** Its beginning, s. */
+  from_s: number;
+  /** Who moved. */
+  subject: string;
+  /** Its end, s. */
+  t_s: number;
+};
+
+/** What `library.digest` is answered with. */
+export type Digested = {
+  /** It. */
+  digest: Digest;
+} | {
+  /** Always true. */
+  unknown: boolean;
+} | {
+  /** Its number. */
+  job: number;
+};
+
 /** What to do with messages for which a client is too slow. Either way the oldest goes first and is counted. */
 export type DropPolicy = "latest" | "queue";
 
@@ -644,6 +797,18 @@ export type FaultMessage = ({
   t_valid_s: number;
 };
 
+/** How long a sensor had a fault. */
+export type FaultSpan = {
+  /** What was wrong with it. */
+  fault: FaultCause;
+  /** Since when, s: the recording's beginning where it had begun before. */
+  from_s: number;
+  /** Which sensor. */
+  sensor: string;
+  /** Until when, s: the recording's end where it went on. */
+  to_s: number;
+};
+
 /** Requests about what this client receives. */
 export type Feed = {
   /** What to do when this client is too slow; absent: `latest`. */
@@ -816,6 +981,16 @@ export type Gaussians = {
 
 /** Where a body's heading comes from. */
 export type HeadingSource = "unknown" | "field" | "held";
+
+/** The last hour in equal steps, the oldest first. All lists have the same length, 360 at most; null where nothing is known of a step. */
+export type HealthHistory = {
+  /** Length of a step, s. */
+  bin_s: number;
+  /** Host time at which the newest step ends, s; null before the first. */
+  newest_t_s: number | null;
+  /** Sensors, in the stage file's order. */
+  sensors: SensorHistory[];
+};
 
 /** Who speaks, and what there is. */
 export type Hello = {
@@ -1016,6 +1191,28 @@ export type LearntEntry = {
   turned_deg: number;
 };
 
+/** A recording in one line. */
+export type LibraryTake = {
+  /** Size of the file, bytes. */
+  bytes: number;
+  /** Whether it has an index: it was ended in order, or repaired. */
+  complete: boolean;
+  /** How much happens in it; null where it has no digest. */
+  counts: DigestCounts | null;
+  /** How long it is, s; null where that is not known without reading all of it. */
+  length_s: number | null;
+  /** Its file name. */
+  name: string;
+  /** A small picture; null where it has no digest. */
+  picture: Picture | null;
+  /** Name of its stage; empty where it cannot be read. */
+  stage: string;
+  /** Why it cannot be read; null where it can. */
+  unreadable: string | null;
+  /** When it begins: UTC in RFC 3339; null where it cannot be read. */
+  utc: string | null;
+};
+
 /** What a device's link does. */
 export type LinkState = "streaming" | "connecting" | "silent" | "failed";
 
@@ -1023,6 +1220,34 @@ export type LinkState = "streaming" | "connecting" | "silent" | "failed";
 export type ListedSessions = {
   /** The newest first. */
   sessions: SessionSummary[];
+};
+
+/** Where everything was, as a recording shows it to viewers: five times a second, in a full one at every frame. */
+export type Look = {
+  /** Bodies of which something was shown, in the stage file's order. */
+  bodies: LookBody[];
+  /** Sensors that were good then, in the stage file's order. */
+  sensors: LookSensor[];
+  /** Stage time of what is shown, s: of several the latest. */
+  t_s: number;
+};
+
+/** A body at a time. */
+export type LookBody = {
+  /** Its name. */
+  name: string;
+  /** Its segments, as in `body`. */
+  segments: FigureSegment[];
+};
+
+/** A sensor at a time. */
+export type LookSensor = {
+  /** Its name. */
+  name: string;
+  /** Sensor to room, unit quaternion, scalar first. */
+  orientation_wxyz: [number, number, number, number];
+  /** Its position in the room, m; null for one that measures none. */
+  position_m: [number, number, number] | null;
 };
 
 /** Hard and soft iron: `m = matrix (raw - offset)` has the length `norm` in every direction. */
@@ -1216,6 +1441,20 @@ export type Person = {
 /** How final an event is that can be taken back. */
 export type Phase = "provisional" | "confirmed" | "withdrawn";
 
+/** Where sensors went, thinned out: enough for a thumbnail. */
+export type Picture = {
+  /** A path for each sensor that measures positions; where none does, for hips, hands and feet of each body. */
+  paths: PicturePath[];
+};
+
+/** A path of a picture. */
+export type PicturePath = {
+  /** The sensor, or `BODY/SEGMENT`. */
+  name: string;
+  /** Places in order of time, room, m. */
+  position_m: ([number, number, number])[];
+};
+
 /** A plan: its steps in order, each with all its sets. */
 export type Plan = {
   /** Its name, 1 to 64 bytes. */
@@ -1342,6 +1581,18 @@ export type RelatedClock = {
   uncertainty_s: number;
 };
 
+/** What was removed for good. */
+export type Removed = {
+  /** How many recordings. */
+  removed: number;
+};
+
+/** What a recording is called now. */
+export type Renamed = {
+  /** Its file name. */
+  name: string;
+};
+
 /** How a published pose differs from the record. */
 export type Repair = "mirrored" | "coasted";
 
@@ -1465,6 +1716,18 @@ export type SegmentEntry = {
 /** What is said of a segment. */
 export type SegmentEvent = "provisional" | "confirmed" | "withdrawn";
 
+/** What a motion showed for a while. */
+export type SegmentSpan = {
+  /** Whose motion, by the name of the body; null on a stage without one. */
+  body: string | null;
+  /** Since when, s. */
+  from_s: number;
+  /** What it showed. */
+  label: string;
+  /** Until when, s: the beginning of the next one, or the end of the recording. */
+  to_s: number;
+};
+
 /** How far a segment can be trusted; the later, the less. */
 export type SegmentState = "ok" | "inferred" | "suspect" | "missing";
 
@@ -1496,6 +1759,24 @@ export type SensorEntry = {
   state: SensorState;
   /** Velocity in the room, m/s; null where there is no position. */
   velocity_m_s?: [number, number, number] | null;
+};
+
+/** A sensor in the last hour. */
+export type SensorHistory = {
+  /** Charge of its battery, 0 to 1. No driver reports one yet: always null. */
+  battery: (number | null)[];
+  /** Standard deviation of the capture times of its device, s, at the end of the step. */
+  clock_sigma_s: (number | null)[];
+  /** Share of the frames in which its record was suspect, stuck, or repaired: 0 to 1. */
+  faulty: (number | null)[];
+  /** Share of the expected samples that were lost, as in `status`: 0 to 1. */
+  lost: (number | null)[];
+  /** Its name. */
+  name: string;
+  /** Noise of its measured position, m: from the median of how far each one is from the middle of its neighbours. Motion adds to it: that of a sensor at rest is the tracker's own. Null for one that measures no position. */
+  noise_m: (number | null)[];
+  /** Samples per second. */
+  rate_hz: (number | null)[];
 };
 
 /** What the fault map reports about a sensor in a frame. */
@@ -1776,6 +2057,14 @@ export type Still = {
   moves_sd: number;
   /** Least and greatest value in the taught repetitions. */
   range: [number, number];
+};
+
+/** The takes of the folder. */
+export type Takes = {
+  /** The file that is being recorded into; null without one. */
+  recording: string | null;
+  /** The newest first; those that cannot be read last. */
+  takes: LibraryTake[];
 };
 
 /** How much is done. */

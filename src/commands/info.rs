@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use posed_protocol::DigestCounts;
 use posed_recording::{Info, Repaired};
 use posed_stage::RecordingContent;
 
@@ -77,6 +78,11 @@ fn sentences(info: &Info) -> String {
     let width = info.topics.keys().map(|topic| topic.chars().count()).max().unwrap_or(0);
     for (topic, count) in &info.topics {
         text.push_str(&format!("topic     {topic:width$}  {count:>9}\n"));
+    }
+    if let Some(DigestCounts { marks, faults, segments, repetitions, key_poses }) = info.digest {
+        text.push_str(&format!(
+            "digest    {marks} marks, {faults} faults, {segments} segments, {repetitions} repetitions, {key_poses} key poses\n"
+        ));
     }
     match (&info.problem, &info.ended) {
         (Some(problem), _) => text.push_str(&format!("problem   {problem}\n")),

@@ -18,6 +18,7 @@ mod chain_live;
 mod chromium;
 mod cli;
 mod daemon;
+mod digests;
 mod exercise;
 mod exports;
 mod faults;

@@ -14,6 +14,7 @@ use super::clock::StageClock;
 use super::fault_points;
 use super::inbox::{Event, Inbox};
 use super::jobs::{Job, Jobs};
+use super::library::{Held, InUse, Use};
 use super::observers::{Excerpt, GuidedCalibration, Observer, Observers, Samples, Source, Times};
 use super::ports::PortCommand;
 use super::recorder::{Recorder, RecorderState};
@@ -24,7 +25,7 @@ use posed_motion::fault_map::Frames;
 use posed_pipeline::{InputError, SupervisedPipeline};
 use posed_protocol::foxglove::Views;
 use posed_protocol::{Answer, Payload, Publisher, RecordingBegun, schema};
-use posed_recording::{Header, Snapshot, WriteError};
+use posed_recording::{Digester, Header, Snapshot, WriteError};
 use posed_stage::input::{Entry, Input, Model, Request, SensorIndex};
 use posed_stage::output::{OutcomeKind, Output};
 use posed_stage::{BodyIndex, RecordingContent};
@@ -242,6 +243,8 @@ pub(super) struct Recording {
     pub(super) name: String,
     pub(super) started: Timestamp,
     job: Job,
+    /// Nobody moves the file until it is whole.
+    _held: Held,
 }
 
 /// The thread's state.
@@ -263,6 +266,10 @@ pub(super) struct Fusion {
     pub(super) entries: u64,
     /// What every recording of this run begins with.
     pub(super) recording_header: Header,
+    /// What gathers the digest of each of them, as yet empty.
+    pub(super) digester: Digester,
+    /// Where it is said which files are in use.
+    pub(super) in_use: InUse,
 }
 
 impl Fusion {
@@ -330,6 +337,9 @@ impl Fusion {
         let left_out = pipeline.entries_left_out();
         pipeline.push(entry, &mut |output| {
             observers.on_output(&output, &Times { read: entry.t, published, now: clock.now() });
+            if let Some(recorder) = &mut recorder {
+                recorder.output(&output);
+            }
             match output {
                 Output::Transmit { device, bytes } => {
                     if let Some(recorder) = &mut recorder {
@@ -482,10 +492,12 @@ impl Fusion {
         let begun = move |begun: Result<(), WriteError>| {
             tell(begun.map(|()| result).map_err(|error| RecordError::File { path: file, error }));
         };
-        match Recorder::start(path, make_folder, header, schema::of_topics, begun) {
+        let held = self.in_use.hold(&path, Use::Recorded);
+        let digester = self.digester.begun_at(header.begun);
+        match Recorder::start(path, make_folder, (header, digester), schema::of_topics, begun) {
             Ok(recorder) => {
                 self.observers.health.recording_started();
-                self.recording = Some(Recording { recorder, name, started, job });
+                self.recording = Some(Recording { recorder, name, started, job, _held: held });
             }
             Err(error) => job.end(Err::<String, _>(error)),
         }
@@ -549,7 +561,7 @@ fn timer_at(due: Option<Timestamp>, now: Timestamp, waiting_since: Option<Timest
 
 /// Waits for the end of a recording that was stopped, and returns whether it is whole.
 fn whole(recording: Recording) -> Result<(), Incomplete> {
-    let Recording { recorder, name, job, .. } = recording;
+    let Recording { recorder, name, job, _held, .. } = recording;
     let ended = match recorder.wait() {
         RecorderState::Failed { reason } => Err(Incomplete { name: name.clone(), reason, refused: false }),
         RecorderState::Refused { reason } => Err(Incomplete { name: name.clone(), reason, refused: true }),

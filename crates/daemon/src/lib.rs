@@ -31,7 +31,9 @@ mod free_space;
 mod fusion;
 mod inbox;
 mod jobs;
+mod library;
 pub mod link;
+mod look;
 mod lsl;
 mod models;
 mod observers;
@@ -53,6 +55,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use posed_drivers::Timestamp;
 use posed_drivers::port::Port;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::{mpsc, watch};
@@ -60,6 +63,7 @@ use tokio::sync::{mpsc, watch};
 pub use self::calibration::{FieldMapError, Unfit};
 pub use self::clock::StageClock;
 pub use self::fusion::{Begin, BeginError, Ended, FusionInbox, RecordError};
+pub use self::library::forget as forget_recording;
 pub use self::models::ModelError;
 pub use self::observers::{Observer, Times};
 pub use self::playback::{Playback, PlaybackError};
@@ -67,11 +71,12 @@ pub use self::ports::ended;
 pub use self::vital::{PartEnded, Vital};
 
 use self::calibration::{Calibration, MapInUse};
-use self::calls::Calls;
+use self::calls::{Calls, Services};
 use self::free_space::FreeSpace;
 use self::fusion::{Command, Fusion, INBOX_CAPACITY};
 use self::inbox::Inbox;
 use self::jobs::Jobs;
+use self::library::TakeLibrary;
 use self::link::Link;
 use self::models::{Library, Loaded};
 use self::observers::Observers;
@@ -83,6 +88,7 @@ use posed_motion::segments::Model;
 use posed_pipeline::{PipelineError, SupervisedPipeline};
 use posed_protocol::foxglove::Views;
 use posed_protocol::{Fields, Problem, Publisher, Status, Topic};
+use posed_recording::Digester;
 use posed_stage::Stage;
 use posed_stage::input::{Entry, Input};
 use posed_stage::layout::BodyLayout;
@@ -223,7 +229,9 @@ impl Daemon {
                 }
             }
         }
-        let sides = Sides { feed, shelf: Some(Arc::new(playback::Recordings::new(recordings.clone()))) };
+        let library = TakeLibrary::start(recordings.clone()).map_err(StartError::Thread)?;
+        let shelf = playback::Recordings::new(recordings.clone(), library.clone());
+        let sides = Sides { feed, shelf: Some(Arc::new(shelf)), files: Some(recordings.clone()) };
         let (server, hub, pending) = Server::bind_with(&stage, config, sides)?;
         let mut service = Service::start(server);
         let jobs = Jobs::new(clock, hub.clone());
@@ -262,7 +270,10 @@ impl Daemon {
             ending: Vec::new(),
             entries: 0,
             recording_header: posed_recording::Header::new(&stage, &stage_toml, clock.epoch_utc_ns()),
+            digester: Digester::new(&stage, Timestamp::ZERO),
+            in_use: library.in_use().clone(),
         };
+        let history = fusion.observers.health.history();
         fusion.observers.health.watch_disk(disk.clone());
         for model in loaded.models {
             // Before anything else, and in the log.
@@ -286,7 +297,11 @@ impl Daemon {
             }))
             .map_err(StartError::Thread)?;
 
-        let calls = Calls::new(&stage, data, clock, inbox.clone(), jobs, calibration, training);
+        let sessions = training.clone();
+        library.on_rename(Box::new(move |from, to| sessions.recording_renamed(from, to)));
+        let services =
+            Services { clock, inbox: inbox.clone(), jobs, calibration, training, library, history };
+        let calls = Calls::new(&stage, data, services);
         let calls = calls.run(pending, service.down());
         service.spawn("what answers requests", calls);
         service.spawn("what looks at the disk", disk.watch(recordings, service.down()));

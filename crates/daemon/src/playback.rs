@@ -7,18 +7,23 @@ use tokio::sync::{mpsc, watch};
 
 use super::clock::StageClock;
 use super::jobs::Jobs;
+use super::library::TakeLibrary;
+use super::look::Looks;
 use super::player::{Outlet, PlayError, Played, Player};
 use super::ports::ended;
 use super::recordings;
-use super::server::{BindError, Config, Hub, PendingCall, Server, Shelf, Take, TakeError};
+use super::server::{BindError, Config, Hub, LetGo, PendingCall, Server, Shelf, Sides, Take, TakeError};
 use super::service::Service;
 use super::vital::PartEnded;
-use posed_protocol::{Status, Topic};
+use posed_protocol::{Call, Status, Topic};
 use posed_recording::{Header, Outline, ReadError, Reader};
 use posed_stage::{Problems, Secret, Stage, Token};
 
 /// Requests that wait for the player.
 const WAITING: usize = 64;
+
+/// The MCAP topic of the ground truth.
+const TRUTH: &str = "/input/truth";
 
 /// Why a recording cannot be served.
 #[derive(Debug, thiserror::Error)]
@@ -60,37 +65,52 @@ struct Opened {
 impl Opened {
     /// Reads its header and its index.
     fn read(recording: &Path) -> Result<Self, PlaybackError> {
-        let header: Header = Reader::open(recording)?.header().clone();
+        let played = Played::read(recording)?;
+        let (header, has_truth) = match &played.chunks {
+            Some(chunks) => (chunks.header().clone(), chunks.topics().any(|topic| topic == TRUTH)),
+            None => {
+                let header = Reader::open(recording)?.header().clone();
+                (header, Outline::read(recording)?.topics.contains(TRUTH))
+            }
+        };
         let stage = Stage::parse(&header.stage_toml)?;
-        let outline = Outline::read(recording)?;
-        let topics = Vec::from_iter(outline.topics.contains("/input/truth").then_some(Topic::Truth));
-        let played = Played { path: recording.to_owned(), end: outline.end };
+        let topics = Vec::from_iter(has_truth.then_some(Topic::Truth));
         Ok(Self { header, stage, played, topics })
     }
+}
+
+/// Where the calls for a recording go.
+#[derive(Clone)]
+struct Desk {
+    player: SyncSender<PendingCall>,
+    looks: Looks,
 }
 
 /// What plays into `hub` at `speed` times real time, and where it takes calls; it ends when nobody can call any more.
 fn player(
     played: Played,
     hub: Hub,
+    library: TakeLibrary,
     folder: PathBuf,
     speed: f64,
-) -> Result<(Player, SyncSender<PendingCall>), PlayError> {
+) -> Result<(Player, Desk), PlaybackError> {
     let (calls, received) = sync_channel(WAITING);
     let clock = StageClock::start();
     let jobs = Jobs::new(clock, hub.clone());
-    let outlet = Outlet { clock, hub, jobs };
-    Ok((Player::new(outlet, received, played, folder, speed)?, calls))
+    let looks = Looks::start(played.chunks.clone()).map_err(PlaybackError::Thread)?;
+    let outlet = Outlet { clock, hub, jobs, library, looks: looks.clone() };
+    Ok((Player::new(outlet, received, played, folder, speed)?, Desk { player: calls, looks }))
 }
 
 /// A folder of recordings that are watched beside a live stage.
 pub(super) struct Recordings {
     folder: PathBuf,
+    library: TakeLibrary,
 }
 
 impl Recordings {
-    pub(super) fn new(folder: PathBuf) -> Self {
-        Self { folder }
+    pub(super) fn new(folder: PathBuf, library: TakeLibrary) -> Self {
+        Self { folder, library }
     }
 }
 
@@ -99,19 +119,24 @@ impl Shelf for Recordings {
         let path = recordings::find(&self.folder, name)?;
         let unplayable = |error: PlaybackError| TakeError::Unplayable(error.to_string());
         let Opened { header, stage, played, topics } = Opened::read(&path).map_err(unplayable)?;
-        let folder = self.folder.clone();
+        let (folder, library) = (self.folder.clone(), self.library.clone());
         let play = move |hub: Hub, pending, down| {
             let unplayable = |error: &dyn std::error::Error| TakeError::Unplayable(error.to_string());
-            let (player, calls) = player(played, hub, folder, 1.0).map_err(|error| unplayable(&error))?;
+            let (player, desk) =
+                player(played, hub, library, folder, 1.0).map_err(|error| unplayable(&error))?;
             #[expect(clippy::disallowed_methods, reason = "the daemon owns the player's thread")]
             std::thread::Builder::new()
                 .name("take".into())
                 .spawn(move || player.run())
                 .map_err(|error| unplayable(&error))?;
-            tokio::spawn(forward(pending, calls, down));
+            tokio::spawn(forward(pending, desk, down));
             Ok(())
         };
         Ok(Take { stage, epoch_utc_ns: header.epoch_utc_ns, topics, play: Box::new(play) })
+    }
+
+    fn lend(&self, let_go: LetGo) {
+        self.library.lend(let_go);
     }
 }
 
@@ -143,10 +168,12 @@ impl Playback {
         config.listen = listen;
         config.replay = true;
         config.more_topics = topics;
-        let (server, hub, pending) = Server::bind(&stage, config)?;
+        let sides = Sides { files: Some(folder.clone()), ..Sides::default() };
+        let (server, hub, pending) = Server::bind_with(&stage, config, sides)?;
         let mut service = Service::start(server);
 
-        let (player, calls) = player(played, hub, folder, speed)?;
+        let library = TakeLibrary::start(folder.clone()).map_err(PlaybackError::Thread)?;
+        let (player, desk) = player(played, hub, library, folder, speed)?;
         #[expect(clippy::disallowed_methods, reason = "the daemon owns the player's thread")]
         let player = std::thread::Builder::new()
             .name("player".into())
@@ -154,7 +181,7 @@ impl Playback {
             .map_err(PlaybackError::Thread)?;
 
         let down = service.down();
-        service.spawn("what answers requests", forward(pending, calls, down));
+        service.spawn("what answers requests", forward(pending, desk, down));
         Ok(Self { service, player })
     }
 
@@ -179,10 +206,10 @@ impl Playback {
     }
 }
 
-/// Hands requests on to the player until the end, which ends the player too.
+/// Hands requests on to the player until the end, which ends the player too; looks are answered beside it.
 async fn forward(
     mut pending: mpsc::Receiver<PendingCall>,
-    calls: SyncSender<PendingCall>,
+    Desk { player, looks }: Desk,
     mut down: watch::Receiver<bool>,
 ) {
     loop {
@@ -190,7 +217,11 @@ async fn forward(
             () = ended(&mut down) => return,
             call = pending.recv() => {
                 let Some(call) = call else { return };
-                match calls.try_send(call) {
+                if let PendingCall { call: Call::ReplayLook { t_s }, reply } = call {
+                    looks.at(t_s, reply);
+                    continue;
+                }
+                match player.try_send(call) {
                     Ok(()) => {}
                     Err(TrySendError::Full(PendingCall { reply, .. })) => {
                         reply.error("busy", "the player is slow, and many requests wait for it already; try again later");
@@ -206,14 +237,14 @@ async fn forward(
 mod tests {
     use super::super::server::testing::{Asking, ids};
     use super::*;
-    use posed_protocol::Call;
 
     #[tokio::test]
     async fn more_requests_than_may_wait_for_a_player_that_hangs_are_refused_and_those_that_wait_are_there() {
         let (calls, player) = sync_channel(WAITING);
         let (sender, pending) = mpsc::channel(1);
         let (_up, down) = watch::channel(false);
-        let task = tokio::spawn(forward(pending, calls, down));
+        let desk = Desk { player: calls, looks: Looks::start(None).unwrap() };
+        let task = tokio::spawn(forward(pending, desk, down));
         let asking = Asking::new();
         for id in 0..WAITING + 50 {
             sender.send(PendingCall { call: Call::ReplayList {}, reply: asking.reply(id) }).await.unwrap();

@@ -4,7 +4,8 @@
 //! thread stands in the place of the fusion thread, so a client cannot tell the two apart but by `status.replay`. Seeking
 //! is a job: filters have to pass through all that lies between, a batch at a time, while clients are listened to.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
@@ -12,6 +13,8 @@ use posed_drivers::Timestamp;
 
 use super::clock::StageClock;
 use super::jobs::{Failure, Job, Jobs};
+use super::library::{Held, TakeLibrary, Use};
+use super::look::Looks;
 use super::observers::Health;
 use super::recordings;
 use super::server::{Hub, PendingCall, Refusal};
@@ -19,7 +22,7 @@ use super::track;
 use super::waypoints::{Resumed, Waypoints};
 use posed_pipeline::SupervisedPipeline;
 use posed_protocol::{Answer, Call, Recordings, ReplayStatus, Started};
-use posed_recording::{Item, Machine, MachineError, Outline, ReadError, Reader};
+use posed_recording::{Chunks, Item, Machine, MachineError, Outline, ReadError, Reader};
 use posed_stage::Stage;
 use posed_stage::input::Entry;
 
@@ -36,6 +39,10 @@ pub(super) struct Player {
     calls: Receiver<PendingCall>,
     hub: Hub,
     jobs: Jobs,
+    library: TakeLibrary,
+    looks: Looks,
+    /// The recording stays where it is.
+    held: Held,
     folder: PathBuf,
     stage: Stage,
     health: Health,
@@ -50,6 +57,8 @@ pub(super) struct Outlet {
     pub(super) clock: StageClock,
     pub(super) hub: Hub,
     pub(super) jobs: Jobs,
+    pub(super) library: TakeLibrary,
+    pub(super) looks: Looks,
 }
 
 /// A recording's file and what its index says.
@@ -57,6 +66,20 @@ pub(super) struct Outlet {
 pub(super) struct Played {
     pub(super) path: PathBuf,
     pub(super) end: Timestamp,
+    /// Absent where it has no index: it was torn.
+    pub(super) chunks: Option<Arc<Chunks>>,
+}
+
+impl Played {
+    /// Reads the index, or all of a recording that has none.
+    pub(super) fn read(path: &Path) -> Result<Self, ReadError> {
+        let chunks = Chunks::read(path)?.map(Arc::new);
+        let end = match &chunks {
+            Some(chunks) => chunks.end(),
+            None => Outline::read(path)?.end,
+        };
+        Ok(Self { path: path.to_owned(), end, chunks })
+    }
 }
 
 /// On the way to another time.
@@ -91,12 +114,28 @@ impl Player {
         folder: PathBuf,
         speed: f64,
     ) -> Result<Self, PlayError> {
-        let Outlet { clock, hub, jobs } = outlet;
+        let Outlet { clock, hub, jobs, library, looks } = outlet;
+        let held = library.in_use().hold(&played.path, Use::Played);
         let waypoints = Waypoints::look_for(&played);
         let playing = Playing::open(played, None, speed, clock.now())?;
         let stage = Stage::parse(&playing.reader.header().stage_toml).map_err(MachineError::from)?;
         let health = Health::new(&stage);
-        Ok(Self { clock, calls, hub, jobs, folder, stage, health, playing, waypoints, seeking: None })
+        let seeking = None;
+        Ok(Self {
+            clock,
+            calls,
+            hub,
+            jobs,
+            library,
+            looks,
+            held,
+            folder,
+            stage,
+            health,
+            playing,
+            waypoints,
+            seeking,
+        })
     }
 
     /// Runs until nobody can call any more.
@@ -117,6 +156,9 @@ impl Player {
             match self.calls.recv_timeout(wait) {
                 Ok(PendingCall { call: Call::ReplayTrack { name, columns }, reply }) => {
                     track::answer(&self.folder, &name, columns, reply);
+                }
+                Ok(PendingCall { call, reply }) if call.is_of_library() => {
+                    self.library.ask(call, reply, &self.jobs);
                 }
                 Ok(PendingCall { call, reply }) => {
                     reply.answer(self.carry_out(call));
@@ -154,12 +196,13 @@ impl Player {
             }
             Call::ReplayOpen { name } => {
                 let path = recordings::find(&self.folder, &name)?;
-                let end = Outline::read(&path).map_err(Refusal::failed)?.end;
+                let played = Played::read(&path).map_err(Refusal::failed)?;
                 let (speed, now) = (self.playing.speed, self.clock.now());
-                let played = Played { path, end };
                 self.playing =
                     Playing::open(played.clone(), Some(&self.stage), speed, now).map_err(Refusal::failed)?;
                 self.waypoints = Waypoints::look_for(&played);
+                self.looks.open(played.chunks.clone());
+                self.held = self.library.in_use().hold(&played.path, Use::Played);
                 self.end_seeking(Err("another recording was opened".into()));
                 self.hub.rewind();
                 Ok(None)
@@ -179,9 +222,18 @@ impl Player {
                 self.playing.set_speed(speed, self.clock.now());
                 Ok(None)
             }
-            // Not for this thread: it is answered when the recording is read.
-            Call::ReplayTrack { .. } => Err(Refusal::new("replay", "tracks are read aside")),
-            Call::RecordStart { .. }
+            // Not for this thread: they are answered beside it.
+            Call::ReplayTrack { .. }
+            | Call::ReplayLook { .. }
+            | Call::LibraryList { .. }
+            | Call::LibraryDigest { .. }
+            | Call::LibraryRename { .. }
+            | Call::LibraryRemove { .. }
+            | Call::LibraryRestore { .. }
+            | Call::LibraryEmptyBin {}
+            | Call::LibraryExport { .. } => Err(Refusal::new("replay", "this is answered beside the replay")),
+            Call::HealthHistory {}
+            | Call::RecordStart { .. }
             | Call::RecordStop {}
             | Call::ModelLoad { .. }
             | Call::FieldStart { .. }
@@ -278,7 +330,8 @@ impl Player {
     }
 
     fn publish_status(&mut self, now: Timestamp) {
-        let Playing { played: Played { path, end }, pipeline, begun, at, speed, ended, .. } = &self.playing;
+        let Playing { played: Played { path, end, .. }, pipeline, begun, at, speed, ended, .. } =
+            &self.playing;
         let mut status = self.health.status(now, &pipeline.status(), None, &self.clock);
         status.replay = Some(ReplayStatus {
             name: path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),

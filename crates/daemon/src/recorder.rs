@@ -18,8 +18,9 @@ use posed_drivers::Timestamp;
 
 use super::fault_points;
 use posed_protocol::foxglove::Channel;
-use posed_recording::{Header, WriteError, Writer, sync_folder_of};
+use posed_recording::{Digester, Header, WriteError, Writer, sync_folder_of};
 use posed_stage::input::{DeviceIndex, Entry, Input};
+use posed_stage::output::Output;
 
 /// How often everything so far is brought to the disk: half of what may be lost.
 const FLUSH_EVERY: Duration = Duration::from_millis(500);
@@ -66,6 +67,8 @@ pub(super) struct Recorder {
     sender: Option<Sender<Job>>,
     /// Bytes that may wait.
     most_bytes: usize,
+    /// Gathers what happens in it; gone once nothing more is taken.
+    digester: Option<Digester>,
     shared: Arc<Shared>,
     thread: JoinHandle<()>,
 }
@@ -77,6 +80,8 @@ struct Shared {
     queued: AtomicUsize,
     /// Bytes written, once it has begun.
     bytes: OnceLock<Arc<AtomicU64>>,
+    /// Of one that was ended in order: what goes behind its last entry.
+    digester: Mutex<Option<Digester>>,
 }
 
 /// Names of topics with the JSON Schemas of their messages.
@@ -100,7 +105,7 @@ impl Recorder {
     pub(super) fn start(
         path: PathBuf,
         make_folder: bool,
-        header: Header,
+        (header, digester): (Header, Digester),
         schemas: fn() -> Schemas,
         begun: impl FnOnce(Result<(), WriteError>) + Send + 'static,
     ) -> io::Result<Self> {
@@ -126,19 +131,22 @@ impl Recorder {
                 let _ = std::fs::remove_file(&path);
             })
         };
-        Self::start_with(begin, Room { items: QUEUE_ITEMS, bytes: QUEUE_BYTES }, begun)
+        let room = Room { items: QUEUE_ITEMS, bytes: QUEUE_BYTES };
+        Self::start_with(begin, room, digester, begun)
     }
 
     /// Begins a recording into what `begin` makes: the file, and what brings to the disk what was flushed into it.
     fn start_with<W: Write, S: FnMut() -> io::Result<()> + Send>(
         begin: impl FnOnce() -> Result<(Writer<W>, S), WriteError> + Send + 'static,
         room: Room,
+        digester: Digester,
         begun: impl FnOnce(Result<(), WriteError>) + Send + 'static,
     ) -> io::Result<Self> {
         let shared = Arc::new(Shared {
             state: Mutex::new(RecorderState::Recording),
             queued: AtomicUsize::new(0),
             bytes: OnceLock::new(),
+            digester: Mutex::default(),
         });
         let (sender, receiver) = bounded(room.items);
         let thread = {
@@ -160,13 +168,24 @@ impl Recorder {
                 }
             })?
         };
-        Ok(Self { sender: Some(sender), most_bytes: room.bytes, shared, thread })
+        let digester = Some(digester);
+        Ok(Self { sender: Some(sender), most_bytes: room.bytes, digester, shared, thread })
     }
 
     /// Appends an entry, before the messages that follow from it.
     pub(super) fn entry(&mut self, entry: &Entry) {
         if self.sender.is_some() {
             self.send(Job::Entry(entry.clone()));
+        }
+        if let Some(digester) = &mut self.digester {
+            digester.entry(entry.t);
+        }
+    }
+
+    /// Looks at what follows from an entry, for the digest.
+    pub(super) fn output(&mut self, output: &Output<'_>) {
+        if let Some(digester) = &mut self.digester {
+            digester.output(output);
         }
     }
 
@@ -204,6 +223,7 @@ impl Recorder {
     /// Ends the recording; the thread writes what is queued and the index. Does not wait for it.
     pub(super) fn stop(&mut self, reason: &str) {
         if self.sender.is_some() {
+            *self.shared.digester() = self.digester.take();
             self.end(RecorderState::Stopped { reason: reason.to_owned() });
         }
     }
@@ -238,7 +258,7 @@ impl Recorder {
                 self.end(RecorderState::Failed { reason: reason.to_owned() });
             }
             // The thread has said why.
-            Err(TrySendError::Disconnected(_)) => self.sender = None,
+            Err(TrySendError::Disconnected(_)) => (self.sender, self.digester) = (None, None),
         }
     }
 
@@ -249,7 +269,8 @@ impl Recorder {
             *current = state;
         }
         drop(current);
-        self.sender = None;
+        // What may lack the end of an entry has no digest: it can be made.
+        (self.sender, self.digester) = (None, None);
     }
 }
 
@@ -257,6 +278,11 @@ impl Shared {
     fn state(&self) -> MutexGuard<'_, RecorderState> {
         // A panic elsewhere cannot leave it half-changed: every change is one assignment.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn digester(&self) -> MutexGuard<'_, Option<Digester>> {
+        // The same.
+        self.digester.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -326,6 +352,10 @@ fn run<S: FnMut() -> io::Result<()> + Send>(
         // The fusion thread is gone without a word.
         RecorderState::Recording | RecorderState::Refused { .. } => "the daemon broke off".to_owned(),
     };
+    let digester = shared.digester().take();
+    if let Some(digester) = digester {
+        writer.digest(&digester.finish())?;
+    }
     writer.finish(&reason)?;
     Ok(sync()?)
 }
@@ -381,17 +411,24 @@ mod tests {
     use std::path::Path;
 
     use super::*;
-    use posed_recording::testing::{Full, chunk, header};
-    use posed_recording::{Ending, Item, Reader, RepairError};
+    use posed_recording::testing::{Full, STAGE, chunk, header};
+    use posed_recording::{Ending, Item, Reader, RepairError, read_digest};
+    use posed_stage::Stage;
 
     /// More than these tests let wait.
     const AMPLE: Room = Room { items: 10_000, bytes: QUEUE_BYTES };
+
+    fn digester() -> Digester {
+        Digester::new(&Stage::parse(STAGE).unwrap(), Timestamp::ZERO)
+    }
 
     /// Begins a file.
     fn start(path: &Path, schemas: fn() -> Schemas) -> Result<Recorder, WriteError> {
         let (to, begun) = bounded(1);
         let recorder =
-            Recorder::start(path.to_owned(), false, header(), schemas, move |begun| to.send(begun).unwrap());
+            Recorder::start(path.to_owned(), false, (header(), digester()), schemas, move |begun| {
+                to.send(begun).unwrap();
+            });
         begun.recv().unwrap().map(|()| recorder.unwrap())
     }
 
@@ -408,7 +445,7 @@ mod tests {
             // Not every test waits for it.
             let _ = to.send(());
         };
-        (Recorder::start_with(begin, room, tell).unwrap(), begun)
+        (Recorder::start_with(begin, room, digester(), tell).unwrap(), begun)
     }
 
     fn read(path: &Path) -> (Vec<Item>, Option<Ending>, Option<String>) {
@@ -432,6 +469,7 @@ mod tests {
         assert_eq!(recorder.wait(), RecorderState::Stopped { reason: "asked to".to_owned() });
         let (items, ending, reason) = read(&path);
         assert_eq!((items.len(), ending, reason.as_deref()), (300, Some(Ending::Complete), Some("asked to")));
+        assert!(read_digest(&path).unwrap().is_some());
         assert_eq!(items[0], Item::Entry(chunk(0)));
     }
 

@@ -20,7 +20,7 @@ pub enum FindError {
         error: io::Error,
     },
     /// There is no recording of that name.
-    #[error("name: there is no recording {0:?}; replay.list names them")]
+    #[error("name: there is no recording {0:?}; library.list names them")]
     Unknown(String),
 }
 
@@ -42,6 +42,32 @@ pub fn find(folder: &Path, name: &str) -> Result<PathBuf, FindError> {
         Ok(folder.join(name))
     } else {
         Err(FindError::Unknown(name.to_owned()))
+    }
+}
+
+/// Longest name of a recording, bytes.
+const NAME_BYTES: usize = 128;
+
+/// The file name of a recording that a client calls so: of letters, digits, `-`, `_`, `.` and spaces, ending in `.mcap`, never a path.
+///
+/// # Errors
+/// It has something else in it, is empty or too long, or begins with a dot.
+pub fn new_name(name: &str) -> Result<String, BadName> {
+    let plain = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | '.' | ' ');
+    if name.is_empty() || name.len() > NAME_BYTES || name.starts_with('.') || !name.chars().all(plain) {
+        return Err(BadName);
+    }
+    Ok(if name.ends_with(".mcap") { name.to_owned() } else { format!("{name}.mcap") })
+}
+
+/// Why a recording cannot be called so.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("name: give a file name of letters, digits, '-', '_', '.', without a path")]
+pub struct BadName;
+
+impl From<BadName> for Refusal {
+    fn from(error: BadName) -> Self {
+        Self::bad_request(error)
     }
 }
 

@@ -9,6 +9,7 @@ use std::sync::{Mutex, TryLockError};
 use super::recordings;
 use super::server::Reply;
 use posed_protocol::{Answer, Tracked};
+use posed_recording::Thinned;
 use posed_recording::table::{RecordedStreams, TableError};
 
 /// Rows that are answered at most.
@@ -60,59 +61,10 @@ fn track(path: &Path, columns: &[String]) -> Result<Tracked, TableError> {
         columns.iter().map(|column| recording.columns().iter().position(|known| known == column)).collect();
     let mut thinned = Thinned::new(ROWS);
     while let Some(t_s) = recording.next_row()? {
-        thinned.push(t_s, indices.iter().map(|index| *recording.row().get((*index)?)?));
+        let row = || indices.iter().map(|index| *recording.row().get((*index)?)?).collect();
+        thinned.push(|| (t_s, row()));
     }
-    let (t_s, values): (Vec<f64>, Vec<Vec<Option<f64>>>) = thinned.rows.into_iter().unzip();
+    let (t_s, values): (Vec<f64>, Vec<Vec<Option<f64>>>) = thinned.into_kept().into_iter().unzip();
     // A channel that the recording does not have is empty, so that recordings of different stages can be compared.
     Ok(Tracked::Rows { t_s, values })
-}
-
-/// Evenly chosen rows of a stream whose length nobody knows: every k-th, with k doubled when there are too many.
-struct Thinned {
-    most: usize,
-    every: usize,
-    seen: usize,
-    rows: Vec<(f64, Vec<Option<f64>>)>,
-}
-
-impl Thinned {
-    fn new(most: usize) -> Self {
-        Self { most, every: 1, seen: 0, rows: Vec::new() }
-    }
-
-    fn push(&mut self, t_s: f64, row: impl Iterator<Item = Option<f64>>) {
-        if self.seen.is_multiple_of(self.every) {
-            if self.rows.len() == self.most {
-                let mut at = 0;
-                self.rows.retain(|_| {
-                    at += 1;
-                    at % 2 == 1
-                });
-                self.every *= 2;
-            }
-            if self.seen.is_multiple_of(self.every) {
-                self.rows.push((t_s, row.collect()));
-            }
-        }
-        self.seen += 1;
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_is_kept_is_evenly_spread_and_never_too_much() {
-        for length in [0, 1, 9, 10, 11, 20, 21, 1000] {
-            let mut thinned = Thinned::new(10);
-            for k in 0..length {
-                thinned.push(k as f64, std::iter::once(Some(k as f64)));
-                assert!(thinned.rows.len() <= 10);
-            }
-            let steps: Vec<f64> = thinned.rows.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
-            assert!(steps.windows(2).all(|pair| pair[0] == pair[1]), "{length}: {steps:?}");
-            assert!(thinned.rows.len() >= length.min(5), "{length}");
-        }
-    }
 }

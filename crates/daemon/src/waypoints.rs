@@ -28,7 +28,7 @@ const NICE: i32 = 19;
 /// The places found so far; the thread ends when this is dropped.
 pub(super) struct Waypoints {
     found: Arc<Found>,
-    chunks: Chunks,
+    chunks: Arc<Chunks>,
 }
 
 #[derive(Default)]
@@ -56,7 +56,7 @@ pub(super) struct Resumed {
 impl Waypoints {
     /// Sets out through a recording; `None` where it has no index, and where there is no thread.
     pub(super) fn look_for(played: &Played) -> Option<Self> {
-        let chunks = Chunks::read(&played.path).ok().flatten()?;
+        let chunks = played.chunks.clone()?;
         let found = Arc::new(Found::default());
         let (filled, played) = (Arc::clone(&found), played.clone());
         #[expect(clippy::disallowed_methods, reason = "the daemon owns this thread, too")]
@@ -144,7 +144,7 @@ mod tests {
             writer.entry(&Entry { t: at(s), input: Input::Timer }).unwrap();
         }
         writer.finish("enough").unwrap();
-        let played = Played { path, end: at(3599) };
+        let played = Played { path, end: at(3599), chunks: None };
         let bytes = |most_bytes: usize| {
             let found = Found::default();
             found.pass_through(&played, most_bytes).unwrap();

@@ -46,14 +46,16 @@ pub mod vrpn;
 
 pub use encode::{Encoding, Payload};
 pub use message::{
-    Answer, Begun, Change, Contacts, Data, Demonstration, Deviation, DeviceStatus, ErrorReply,
-    ExerciseChange, ExerciseEvent, Exercises, Fault, FaultChange, FieldChange, FieldEvent, Figure,
-    FigureSegment, HeadingSource, Hello, HelloBody, HelloSensor, Job, JobState, Jobs, JointEntry, Judged,
-    KeptExercise, KeptFile, KeyPose, LearntEntry, LinkState, ListedSessions, MapVersion, Mark, Measured,
-    OkReply, People, PlanProgress, Plans, Problem, Quality, RecordingBegun, RecordingStatus, Recordings,
-    RelatedClock, ReplayStatus, Report, Resumed, RunningSession, ScrewMotion, SegmentBody, SegmentEntry,
-    SensorEntry, SensorStatus, Sensors, ServerMessage, SessionBegun, Sessions, Shown, Sole, Spoken,
-    StageEntry, StageLatency, StagePresence, Stages, Started, Status, Tracked, TruthEntry, Truths,
+    Answer, Begun, Change, Contacts, Data, Demonstration, Deviation, DeviceStatus, Digest, DigestCounts,
+    DigestKeyPose, DigestMark, DigestRepetition, Digested, ErrorReply, ExerciseChange, ExerciseEvent,
+    Exercises, Fault, FaultChange, FaultSpan, FieldChange, FieldEvent, Figure, FigureSegment, HeadingSource,
+    HealthHistory, Hello, HelloBody, HelloSensor, Job, JobState, Jobs, JointEntry, Judged, KeptExercise,
+    KeptFile, KeyPose, LearntEntry, LibraryTake, LinkState, ListedSessions, Look, LookBody, LookSensor,
+    MapVersion, Mark, Measured, OkReply, People, Picture, PicturePath, PlanProgress, Plans, Problem, Quality,
+    RecordingBegun, RecordingStatus, Recordings, RelatedClock, Removed, Renamed, ReplayStatus, Report,
+    Resumed, RunningSession, ScrewMotion, SegmentBody, SegmentEntry, SegmentSpan, SensorEntry, SensorHistory,
+    SensorStatus, Sensors, ServerMessage, SessionBegun, Sessions, Shown, Sole, Spoken, StageEntry,
+    StageLatency, StagePresence, Stages, Started, Status, Takes, Tracked, TruthEntry, Truths,
 };
 pub use names::Names;
 pub use packed::{unpack, unpacker};

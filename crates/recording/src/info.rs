@@ -6,8 +6,10 @@ use std::path::Path;
 use posed_drivers::Timestamp;
 use serde::Serialize;
 
+use super::digest::read_digest;
 use super::ending::{Ending, ReadError};
 use super::reader::{Item, Reader};
+use posed_protocol::DigestCounts;
 use posed_stage::RecordingContent;
 use posed_stage::input::Input;
 
@@ -42,6 +44,8 @@ pub struct Info {
     pub sensors: Vec<String>,
     /// Number of entries and messages by MCAP topic, up to the first damage; channels for viewers are not counted.
     pub topics: BTreeMap<String, u64>,
+    /// How much happens in it, by its digest; null where it has none.
+    pub digest: Option<DigestCounts>,
 }
 
 /// A device in a recording.
@@ -110,6 +114,7 @@ impl Info {
             sensors: header.sensors,
             devices,
             topics,
+            digest: read_digest(path)?.map(|digest| digest.counts),
         })
     }
 }

@@ -41,16 +41,20 @@
 //! `log_time` is the epoch in UTC plus the entry's time, to the nanosecond. `sequence` of the input topics is one
 //! counter over all of them, of a bundle that of its first entry: file order and counter say the same, and a gap is a hole. The
 //! others count by topic.
+//! Behind the chunks of one that was ended in order is the attachment `digest.json`: what happens in it, see [`Digester`].
 //! The last record is the metadata `posed.end`, whose `reason` states why the recording ended.
 
 pub mod animation;
 mod atomic_file;
+mod brief;
 mod bundle;
 mod chunks;
 mod compare;
+mod digest;
 pub mod export;
 mod index;
 mod info;
+mod look;
 mod mcap_file;
 mod outline;
 pub mod raw_poses;
@@ -63,6 +67,7 @@ mod sink;
 mod summary;
 pub mod table;
 mod take;
+mod thinned;
 mod writer;
 
 mod ending;
@@ -75,11 +80,14 @@ pub mod testing;
 mod tests;
 
 pub use atomic_file::{AtomicFile, sync_folder_of};
+pub use brief::Brief;
 pub use chunks::Chunks;
 pub use compare::{Comparison, Difference, Golden, GoldenError, is_replayed};
+pub use digest::{Digester, digest_file, keep_digest, make_digest, read_digest};
 pub use ending::{Ending, ReadError};
 pub use header::{Header, Snapshot};
 pub use info::Info;
+pub use look::Looker;
 pub use machine::{Machine, MachineError};
 pub use outline::Outline;
 pub use reader::{Item, Message, Reader};
@@ -87,6 +95,7 @@ pub use repair::{RepairError, Repaired, repair};
 pub use replay::{Mapping, Replayable, Verdict, VerifyError, verify};
 pub use scribe::Scribe;
 pub use take::Take;
+pub use thinned::Thinned;
 pub use writer::{WriteError, Writer};
 
 /// Largest chunk that is written, and largest record that a reader believes without having seen a file of that size, bytes.

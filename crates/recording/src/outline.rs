@@ -6,14 +6,12 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::time::Duration;
 
-use mcap::records::{Record, op};
 use posed_drivers::Timestamp;
 
+use super::chunks::Chunks;
 use super::ending::ReadError;
 use super::info::Info;
 use super::reader::Reader;
-use super::records::parse;
-use super::summary::each_record;
 
 /// End and topics of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -30,38 +28,15 @@ impl Outline {
     /// # Errors
     /// It cannot be opened, or is no recording.
     pub fn read(path: &Path) -> Result<Self, ReadError> {
-        let header = Reader::open(path)?.header().clone();
-        if let Some(Index { end_ns, topics }) = index(path)? {
-            let end = header.stage_time(end_ns).max(header.begun);
-            return Ok(Self { end, topics });
+        if let Some(chunks) = Chunks::read(path)? {
+            let topics = chunks.topics().map(str::to_owned).collect();
+            return Ok(Self { end: chunks.end(), topics });
         }
         let info = Info::read(path, |_| ())?;
         let duration = Duration::try_from_secs_f64(info.duration_s).unwrap_or_default();
-        Ok(Self { end: header.begun + duration, topics: info.topics.into_keys().collect() })
+        let begun = Reader::open(path)?.header().begun;
+        Ok(Self { end: begun + duration, topics: info.topics.into_keys().collect() })
     }
-}
-
-/// What the index says.
-struct Index {
-    /// Time of the last message, ns of UTC.
-    end_ns: u64,
-    topics: BTreeSet<String>,
-}
-
-/// The index at the end of the file; `None` where there is none that can be read.
-fn index(path: &Path) -> Result<Option<Index>, ReadError> {
-    let (mut topics, mut end_ns) = (BTreeSet::new(), None);
-    let found = each_record(path, |opcode, data| {
-        if matches!(opcode, op::CHANNEL | op::STATISTICS) {
-            match parse(opcode, data).ok()? {
-                Record::Channel(channel) => _ = topics.insert(channel.topic),
-                Record::Statistics(statistics) => end_ns = Some(statistics.message_end_time),
-                _ => return None,
-            }
-        }
-        Some(())
-    })?;
-    Ok(end_ns.filter(|_| found).map(|end_ns| Index { end_ns, topics }))
 }
 
 #[cfg(test)]
@@ -86,7 +61,7 @@ mod tests {
         let torn = folder.path().join("torn.mcap");
         std::fs::copy(&path, &torn).unwrap();
         writer.finish("enough").unwrap();
-        assert!(index(&path).unwrap().is_some() && index(&torn).unwrap().is_none());
+        assert!(Chunks::read(&path).unwrap().is_some() && Chunks::read(&torn).unwrap().is_none());
         let outline = Outline::read(&path).unwrap();
         assert!(outline.topics.contains("/posed/sensors"), "{outline:?}");
         let through = Outline::read(&torn).unwrap();

@@ -34,6 +34,16 @@ impl Known {
         self.take(parse(opcode, data).ok()?.into_owned()).ok()
     }
 
+    /// The channel of that topic.
+    pub(super) fn channel_of(&self, topic: &str) -> Option<u16> {
+        self.channels.values().find(|channel| channel.topic == topic).map(|channel| channel.id)
+    }
+
+    /// All topics.
+    pub(super) fn topics(&self) -> impl Iterator<Item = &str> {
+        self.channels.values().map(|channel| channel.topic.as_str())
+    }
+
     /// Takes a schema or a channel, or says what is wrong with it.
     fn take(&mut self, record: Raw<'static>) -> Result<(), String> {
         match record {
@@ -220,7 +230,7 @@ impl<R: Read> Records<R> {
     }
 }
 
-/// The record of these bytes: a schema, channel, message, attachment, metadata or statistics.
+/// The record of these bytes: a schema, channel, message, attachment, metadata, statistics, or where an attachment or metadata is.
 ///
 /// # Errors
 /// They are none, or of another kind.
@@ -239,6 +249,8 @@ fn lies_within(opcode: u8, mut data: &[u8]) -> bool {
         op::CHANNEL => (4, 2, true, 0),
         op::ATTACHMENT => (16, 2, false, 12),
         op::METADATA => (0, 1, true, 0),
+        op::ATTACHMENT_INDEX => (40, 2, false, 0),
+        op::METADATA_INDEX => (16, 1, false, 0),
         op::MESSAGE | op::STATISTICS => return true,
         // Nobody asks for another kind: who does must say where its texts are.
         _ => return false,
@@ -299,6 +311,8 @@ mod tests {
             (op::METADATA, vec![]),
             (op::METADATA, [&texts[..], &100_u32.to_le_bytes()].concat()),
             (op::ATTACHMENT, vec![0; 16]),
+            (op::ATTACHMENT_INDEX, vec![0; 40]),
+            (op::METADATA_INDEX, vec![0; 16]),
             (op::CHUNK_INDEX, vec![0; 32]),
         ] {
             let claims = [&begins[..], &long].concat();

@@ -7,6 +7,7 @@ use std::io::Write;
 
 use posed_drivers::Timestamp;
 
+use super::digest::Digester;
 use super::header::Header;
 use super::machine::Machine;
 use super::writer::{WriteError, Writer};
@@ -21,6 +22,7 @@ pub struct Scribe<W: Write> {
     machine: Machine,
     views: Views,
     content: RecordingContent,
+    digester: Digester,
     writer: Writer<W>,
 }
 
@@ -34,9 +36,10 @@ impl<W: Write> Scribe<W> {
         let content = header.content;
         let mut views = Views::new(&stage, header.epoch_utc_ns, content);
         header.models.iter().for_each(|model| views.swap(model));
+        let digester = Digester::new(&stage, header.begun);
         let mut writer = Writer::new(sink, header)?;
         schema::of_topics().iter().for_each(|(topic, schema)| writer.declare(topic, schema));
-        Ok(Self { machine, views, content, writer })
+        Ok(Self { machine, views, content, digester, writer })
     }
 
     /// The pipeline as it stands.
@@ -51,8 +54,10 @@ impl<W: Write> Scribe<W> {
     pub fn entry(&mut self, entry: &Entry) -> Result<u64, WriteError> {
         self.writer.entry(entry)?;
         let mut written = Ok(0);
-        let Self { machine: Machine { pipeline, publisher }, views, content, writer } = self;
+        let Self { machine: Machine { pipeline, publisher }, views, content, digester, writer } = self;
+        digester.entry(entry.t);
         pipeline.push(entry, &mut |output| {
+            digester.output(&output);
             let Some(payload) = Payload::of(&output) else { return };
             let Ok(messages) = written else { return };
             written = Ok(messages + 1);
@@ -83,11 +88,21 @@ impl<W: Write> Scribe<W> {
         self.writer.transmitted(device, t, bytes)
     }
 
-    /// Ends the recording; `reason`, one sentence, states why it ended.
+    /// Ends the chunk and hands everything to the sink, as a recorder does twice a second.
+    ///
+    /// # Errors
+    /// The sink refuses.
+    pub fn flush(&mut self) -> Result<(), WriteError> {
+        self.writer.flush()
+    }
+
+    /// Ends the recording with its digest; `reason`, one sentence, states why it ended.
     ///
     /// # Errors
     /// The sink refuses.
     pub fn finish(self, reason: &str) -> Result<W, WriteError> {
-        self.writer.finish(reason)
+        let Self { mut writer, digester, .. } = self;
+        writer.digest(&digester.finish())?;
+        writer.finish(reason)
     }
 }

@@ -1,7 +1,7 @@
 //! The end of an MCAP file, where its index stands: read without what lies before.
 
 use std::fs::File;
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use mcap::records::op;
@@ -10,6 +10,8 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 /// Bytes of the last record and of the mark behind it; the place of the index stands after its kind and length.
 pub(super) const FOOTER: i64 = 1 + 8 + 20 + mcap::MAGIC.len() as i64;
 pub(super) const PLACE: std::ops::Range<usize> = 9..17;
+/// The place of what says where its parts are.
+pub(super) const OFFSETS: std::ops::Range<usize> = 17..25;
 
 /// Hands over each record of the index by its kind and its bytes. False where there is no index that can be read: torn or damaged, what can be read of the file
 /// says more; `each` says so by `None`.
@@ -30,6 +32,8 @@ pub(super) fn each_record(
         return Ok(false);
     }
     file.seek(SeekFrom::Start(place))?;
+    // It is asked for a record's few bytes at a time, of some thousands an hour.
+    let mut file = BufReader::with_capacity(1 << 16, file);
     let longest = usize::try_from(bytes - place).unwrap_or(usize::MAX);
     let options =
         LinearReaderOptions::default().with_skip_start_magic(true).with_record_length_limit(longest);

@@ -17,10 +17,12 @@ use mcap::{Attachment, McapError, Schema};
 use posed_drivers::Timestamp;
 
 use super::bundle::{Bundle, Piece};
+use super::digest;
 use super::header::{Header, METADATA_END, Part};
 use super::machine::MachineError;
 use super::mcap_file::{CHUNK_BYTES, McapFile};
 use super::{MAX_PIECE_BYTES, MAX_RECORD_BYTES};
+use posed_protocol::Digest;
 use posed_protocol::foxglove::Channel;
 use posed_stage::RecordingContent;
 use posed_stage::input::{DeviceIndex, Entry, Input};
@@ -273,6 +275,24 @@ impl<W: Write> Writer<W> {
     pub fn flush(&mut self) -> Result<(), WriteError> {
         self.close_bundle()?;
         Ok(self.mcap.flush()?)
+    }
+
+    /// Attaches the digest of all that was written; call it once, at the end.
+    ///
+    /// # Errors
+    /// The sink refuses.
+    pub fn digest(&mut self, digest: &Digest) -> Result<(), WriteError> {
+        let data = serde_json::to_vec(digest).map_err(|error| WriteError::Format(error.to_string()))?;
+        self.close_bundle()?;
+        let time = self.header.log_time(self.header.begun);
+        let (name, media_type) = (digest::NAME.to_owned(), digest::MEDIA_TYPE.to_owned());
+        Ok(self.mcap.attach(&Attachment {
+            log_time: time,
+            create_time: time,
+            name,
+            media_type,
+            data: data.into(),
+        })?)
     }
 
     /// Ends the recording with its index, and gives the sink back, flushed. `reason`, one sentence, states why it ended.

@@ -66,13 +66,11 @@ impl Forget {
     }
 }
 
-/// Removes a recording; the name has no path in it.
+/// Removes a recording with what was made of it; the name has no path in it.
 fn remove(folder: &Path, name: &str) {
-    let Some(name) = Path::new(name).file_name() else { return };
-    let path = folder.join(name);
-    match std::fs::remove_file(&path) {
-        Ok(()) => {}
-        Err(error) => notify(&format!("cannot remove {}: {error}", path.display())),
+    let Some(plain) = Path::new(name).file_name().and_then(|plain| plain.to_str()) else { return };
+    if let Err(error) = posed_daemon::forget_recording(folder, plain) {
+        notify(&format!("cannot remove {plain} from {}: {error}", folder.display()));
     }
 }
 

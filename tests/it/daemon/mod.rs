@@ -7,6 +7,7 @@ mod connections;
 mod environment;
 mod exercises;
 mod faults;
+mod library;
 mod parts;
 mod plug;
 pub(crate) mod process;

@@ -237,10 +237,15 @@ impl Client {
 
 /// A plain HTTP exchange: the whole answer.
 pub(crate) async fn get(address: SocketAddr, head: &str) -> String {
+    String::from_utf8(get_bytes(address, head).await).unwrap()
+}
+
+/// The same of an answer that is no text.
+pub(crate) async fn get_bytes(address: SocketAddr, head: &str) -> Vec<u8> {
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
     let mut stream = TcpStream::connect(address).await.unwrap();
     stream.write_all(head.as_bytes()).await.unwrap();
     let mut answer = Vec::new();
     tokio::time::timeout(PATIENCE, stream.read_to_end(&mut answer)).await.unwrap().unwrap();
-    String::from_utf8(answer).unwrap()
+    answer
 }

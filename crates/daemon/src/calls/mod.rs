@@ -25,7 +25,9 @@ use super::clock::StageClock;
 use super::fault_points;
 use super::fusion::{Command, FusionInbox};
 use super::jobs::Jobs;
+use super::library::TakeLibrary;
 use super::models::{self, Library};
+use super::observers::Kept;
 use super::ports::ended;
 use super::recordings;
 use super::server::{PendingCall, Refusal, Reply};
@@ -36,8 +38,6 @@ use posed_protocol::{Answer, Call, Exercises, KeptExercise, MapVersion, Recordin
 use posed_stage::Stage;
 use posed_stage::input::{Model, Plan, Request};
 
-/// Longest name of a recording, bytes.
-const NAME_BYTES: usize = 128;
 /// Calls that may wait for the disk.
 const WAITING: usize = 64;
 /// Commands that may wait for the thread that tracks.
@@ -57,18 +57,23 @@ pub(super) struct Calls {
     jobs: Jobs,
     calibration: Calibration,
     training: Training,
+    library: TakeLibrary,
+    history: Kept,
+}
+
+/// What carries calls out.
+pub(super) struct Services {
+    pub(super) clock: StageClock,
+    pub(super) inbox: FusionInbox,
+    pub(super) jobs: Jobs,
+    pub(super) calibration: Calibration,
+    pub(super) training: Training,
+    pub(super) library: TakeLibrary,
+    pub(super) history: Kept,
 }
 
 impl Calls {
-    pub(super) fn new(
-        stage: &Stage,
-        folder: PathBuf,
-        clock: StageClock,
-        inbox: FusionInbox,
-        jobs: Jobs,
-        calibration: Calibration,
-        training: Training,
-    ) -> Self {
+    pub(super) fn new(stage: &Stage, folder: PathBuf, services: Services) -> Self {
         let recordings = stage.recording.folder.clone().unwrap_or_else(|| folder.join("recordings"));
         let exercises = Library::new(models::exercise_folder(stage, &folder), "json");
         let faults = stage.models.faults_folder.clone().unwrap_or_else(|| folder.join("faults"));
@@ -76,6 +81,7 @@ impl Calls {
         let imus = models::imu_folder(stage, &folder);
         let segments = stage.models.segments_folder.clone().unwrap_or_else(|| folder.join("segments"));
         let segments = Library::new(segments, "safetensors");
+        let Services { clock, inbox, jobs, calibration, training, library, history } = services;
         Self {
             stage: stage.clone(),
             recordings,
@@ -88,6 +94,8 @@ impl Calls {
             jobs,
             calibration,
             training,
+            library,
+            history,
         }
     }
 
@@ -159,7 +167,18 @@ impl Calls {
                 reply.answer(listed.map(answer));
             }
             Call::ReplayTrack { name, columns } => track::answer(&self.recordings, &name, columns, reply),
-            Call::ReplayOpen { .. } | Call::ReplaySeek { .. } | Call::ReplaySpeed { .. } => reply.error(
+            call @ (Call::LibraryList { .. }
+            | Call::LibraryDigest { .. }
+            | Call::LibraryRename { .. }
+            | Call::LibraryRemove { .. }
+            | Call::LibraryRestore { .. }
+            | Call::LibraryEmptyBin {}
+            | Call::LibraryExport { .. }) => self.library.ask(call, reply, &self.jobs),
+            Call::HealthHistory {} => reply.ok(Some(Answer::History(self.history.history()))),
+            Call::ReplayOpen { .. }
+            | Call::ReplaySeek { .. }
+            | Call::ReplaySpeed { .. }
+            | Call::ReplayLook { .. } => reply.error(
                 "live",
                 "this daemon tracks a live stage; a recording of its folder is watched at /takes/NAME/, any other with `posed replay FILE`",
             ),
@@ -234,19 +253,7 @@ impl Calls {
     /// A new file in the one folder for recordings.
     fn recording_path(&self, name: Option<String>) -> Result<PathBuf, Refusal> {
         let name = match name {
-            Some(name) => {
-                let plain = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | '.' | ' ');
-                if name.is_empty()
-                    || name.len() > NAME_BYTES
-                    || name.starts_with('.')
-                    || !name.chars().all(plain)
-                {
-                    return Err(Refusal::bad_request(
-                        "name: give a file name of letters, digits, '-', '_', '.', without a path",
-                    ));
-                }
-                if name.ends_with(".mcap") { name } else { format!("{name}.mcap") }
-            }
+            Some(name) => recordings::new_name(&name)?,
             None => {
                 let utc = i128::from(self.clock.epoch_utc_ns()) + i128::from(self.clock.now().as_nanos());
                 let stage = self.stage.file_name();
@@ -337,6 +344,7 @@ fn in_use(changed: Result<u32, FieldMapError>) -> Result<Option<Answer>, Refusal
 mod tests {
     use super::super::fusion::INBOX_CAPACITY;
     use super::super::inbox::{Event, Inbox};
+    use super::super::observers::Health;
     use super::super::server::Hub;
     use super::super::server::testing::{Asking, ids};
     use super::super::training::Tools;
@@ -354,7 +362,11 @@ mod tests {
         let tools = Tools { clock, hub: Hub::default(), inbox: inbox.clone(), exercises };
         let (training, _follow) = Training::new(&stage, folder.path(), tools);
         let data = folder.path().to_owned();
-        let calls = Calls::new(&stage, data, clock, inbox.clone(), jobs, calibration, training);
+        let library = TakeLibrary::start(data.join("recordings")).unwrap();
+        let history = Health::new(&stage).history();
+        let services =
+            Services { clock, inbox: inbox.clone(), jobs, calibration, training, library, history };
+        let calls = Calls::new(&stage, data, services);
         let (flooding, other) = (Asking::new(), Asking::new());
         for id in 0..COMMANDS + 50 {
             calls.carry_out(Call::RecordStop {}, flooding.reply(id));

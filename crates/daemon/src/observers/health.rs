@@ -5,6 +5,7 @@ use posed_drivers::{State, Timestamp};
 use super::super::clock::StageClock;
 use super::super::free_space::FreeSpace;
 use super::super::fusion::Recording;
+use super::history::{History, Kept};
 use super::{Observer, Times};
 use posed_fusion::faults::Cause;
 use posed_pipeline::{BodyStatus, PipelineStatus};
@@ -46,6 +47,7 @@ pub(crate) struct Health {
     recovered: (u64, u64),
     /// The time since which this machine does not keep up, and by how much, ms.
     behind: Option<(Timestamp, f64)>,
+    history: History,
     changed: bool,
     last_status: Timestamp,
 }
@@ -112,6 +114,7 @@ impl Health {
             disk: None,
             recovered: (0, 0),
             behind: None,
+            history: History::new(stage),
             changed: true,
             last_status: Timestamp::ZERO,
         }
@@ -126,6 +129,7 @@ impl Health {
     pub(crate) fn estimate(&mut self, after_read_s: f64, estimate: &Estimate) {
         self.read_to_estimate.add(after_read_s);
         self.capture_to_estimate.add(after_read_s + estimate.t_closed.seconds_since(estimate.t_valid));
+        self.history.estimate(estimate);
     }
 
     /// News of the body: a sensor that becomes faulty is reported at once.
@@ -192,6 +196,11 @@ impl Health {
         self.changed && now >= self.last_status + min
     }
 
+    /// The last hour, to be read from elsewhere.
+    pub(crate) fn history(&self) -> Kept {
+        self.history.kept()
+    }
+
     /// The status tells from now on what this disk still takes.
     pub(crate) fn watch_disk(&mut self, disk: FreeSpace) {
         self.disk = Some(disk);
@@ -206,6 +215,7 @@ impl Health {
         clock: &StageClock,
     ) -> Status {
         self.changed = false;
+        self.history.count(now, pipeline);
         let since = std::mem::replace(&mut self.last_status, now);
         let frames = self.read_to_estimate.samples_s.len();
         let latency: Vec<StageLatency> = [&mut self.read_to_estimate, &mut self.capture_to_estimate]

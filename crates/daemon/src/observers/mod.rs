@@ -4,6 +4,7 @@
 //! makes of it. Never: a wait, or an allocation for a frame.
 
 mod health;
+mod history;
 mod poses;
 mod recent;
 mod samples;
@@ -13,6 +14,7 @@ use std::fmt;
 use posed_drivers::Timestamp;
 
 pub(super) use self::health::Health;
+pub(super) use self::history::Kept;
 pub(super) use self::poses::RecentPoses;
 pub(super) use self::recent::{Excerpt, Recent};
 pub(super) use self::samples::{

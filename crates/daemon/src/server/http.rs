@@ -1,4 +1,4 @@
-//! What can be asked over HTTP: the page, `/ws` (and Foxglove's websocket at `/` too), `/metrics`, `/health`, `/takes`; and who is refused before that.
+//! What can be asked over HTTP: the page, `/ws` (and Foxglove's websocket at `/` too), `/metrics`, `/health`, `/takes`, `/recordings`, `/exports`; and who is refused before that.
 
 use std::sync::Arc;
 
@@ -12,6 +12,7 @@ use axum::routing::get;
 use axum::{Router, extract::rejection::ExtensionRejection};
 
 use super::access::Refusal;
+use super::files::Files;
 use super::foxglove::Viewer;
 use super::listen::ConnectionContext;
 use super::metrics::Metrics;
@@ -29,8 +30,8 @@ const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; \
     style-src 'self' 'sha256-vJCJIUwHF6Fgs6eoxQVnJGR4PcyaPSUgJ/2tmH39GeE='; connect-src 'self'; \
     img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// What one stage answers, and with `takes` the recordings beside it.
-pub(super) fn router(shared: Arc<Shared>, takes: Option<Takes>) -> Router {
+/// What one stage answers, with `takes` the recordings beside it, and with `files` those as files.
+pub(super) fn router(shared: Arc<Shared>, takes: Option<Takes>, files: Option<Files>) -> Router {
     let context = Arc::clone(&shared.context);
     let routes = Router::new()
         .route("/", get(root))
@@ -39,7 +40,8 @@ pub(super) fn router(shared: Arc<Shared>, takes: Option<Takes>) -> Router {
         .route("/metrics", get(metrics))
         .route("/ws", get(websocket))
         .with_state(shared)
-        .merge(takes.map(Takes::routes).unwrap_or_default());
+        .merge(takes.map(Takes::routes).unwrap_or_default())
+        .merge(files.map(Files::routes).unwrap_or_default());
     guarded(routes, context)
 }
 

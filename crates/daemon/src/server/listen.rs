@@ -2,6 +2,7 @@
 
 use std::io::ErrorKind;
 use std::net::SocketAddr;
+use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -23,7 +24,7 @@ use posed_stage::Limits;
 
 /// Longest request head, in bytes.
 const HEAD_BYTES: usize = 16 * 1024;
-/// A plain HTTP answer that takes longer than this has nobody reading it.
+/// A plain HTTP answer of which nothing was taken for longer than this has nobody reading it.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// What every connection needs, whichever stage it looks at.
@@ -136,7 +137,17 @@ async fn serve(
         .max_buf_size(HEAD_BYTES)
         .serve_connection(TokioIo::new(stream), TowerToHyperService::new(app))
         .with_upgrades();
-    match timeout(greeting + ANSWER_TIMEOUT, connection).await {
+    let mut connection = pin!(connection);
+    let (mut patience, mut moved) = (greeting + ANSWER_TIMEOUT, slot.moved());
+    let served = loop {
+        let served = timeout(patience, connection.as_mut()).await;
+        if served.is_ok() || slot.moved() == moved {
+            break served;
+        }
+        // A large file takes as long as its way does.
+        (patience, moved) = (ANSWER_TIMEOUT, slot.moved());
+    };
+    match served {
         Ok(Ok(())) => {}
         Ok(Err(error)) if error.is_timeout() => context.metrics.refuse("timeout"),
         Ok(Err(error)) => {

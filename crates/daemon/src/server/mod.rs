@@ -16,6 +16,7 @@ mod client;
 mod datagrams;
 mod directory;
 mod distributor;
+mod files;
 mod foxglove;
 mod holding;
 mod http;
@@ -43,6 +44,7 @@ use std::sync::Arc;
 use tokio::sync::{mpsc, watch};
 
 use self::distributor::Distributor;
+use self::files::Files;
 use self::foxglove::Viewers;
 use self::listen::ConnectionContext;
 use self::listener::Listener;
@@ -67,7 +69,7 @@ pub use self::holding::Holding;
 pub use self::hub::{Hub, Item};
 pub use self::hub_server::{HubServer, StageEndpoint, StageRegistry};
 pub use self::requests::{PendingCall, Refusal, Reply};
-pub(crate) use self::takes::{Shelf, Take, TakeError};
+pub(crate) use self::takes::{LetGo, Shelf, Take, TakeError};
 pub use self::tls::TlsError;
 
 /// Where the server listens unless the stage file or the command line specifies otherwise.
@@ -181,6 +183,8 @@ pub(super) struct Sides {
     pub(super) feed: Option<Box<dyn Feed>>,
     /// Recordings that clients may watch.
     pub(super) shelf: Option<Arc<dyn Shelf>>,
+    /// Folder whose recordings and exports clients may fetch.
+    pub(super) files: Option<PathBuf>,
 }
 
 /// A server that is bound and not yet running.
@@ -192,6 +196,7 @@ pub struct Server {
     hub: Hub,
     commands: mpsc::Receiver<Command>,
     takes: Option<Takes>,
+    files: Option<Files>,
 }
 
 /// What every connection to a stage needs.
@@ -313,11 +318,12 @@ impl Server {
         let lsl = stage.lsl.as_ref().zip(config.clock.filter(|_| !config.replay));
         let lsl = lsl.map(|(settings, clock)| Streaming::start(stage, settings, clock, Arc::clone(&metrics)));
         let distributor = Distributor::new(Arc::clone(&shared.names), limits, metrics, config.counters);
-        let Sides { feed, shelf } = sides;
+        let Sides { feed, shelf, files } = sides;
+        let files = files.map(|folder| Files::new(folder, &listener.context));
         let takes = shelf.map(|shelf| Takes::new(shelf, &listener.context));
         let outlets = Outlets { distributor, viewers, vrpn: vrpn_outlet, datagrams, lsl, feed };
         let hub_in = hub.clone();
-        let server = Self { listener, shared, outlets, vrpn, hub: hub_in, commands, takes };
+        let server = Self { listener, shared, outlets, vrpn, hub: hub_in, commands, takes, files };
         Ok((server, hub, calls))
     }
 
@@ -344,12 +350,12 @@ impl Server {
     /// Serves until `shutdown` resolves; then tells every client goodbye (1001) and returns within the shutdown timeout. A part
     /// that ends before is reported by `vital`.
     pub async fn run(self, shutdown: impl Future<Output = ()>, vital: Vital) {
-        let Self { listener, shared, outlets, vrpn, hub, commands, takes } = self;
+        let Self { listener, shared, outlets, vrpn, hub, commands, takes, files } = self;
         let distributing = distribute(outlets, hub, commands, Arc::clone(&shared));
         let distributing = tokio::spawn(vital.task("what sends to clients", distributing));
         let others = vrpn.map(|vrpn| vital.task("what serves VRPN", vrpn.run(listener.report.subscribe())));
         let others = others.map(tokio::spawn);
-        listener.serve(http::router(shared, takes), shutdown).await;
+        listener.serve(http::router(shared, takes, files), shutdown).await;
         distributing.abort();
         // What it holds has then ended too.
         let _ = distributing.await;

@@ -10,7 +10,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::net::{IpAddr, Ipv6Addr};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use posed_stage::Limits;
@@ -69,6 +69,8 @@ pub(super) struct Slot {
     network: IpAddr,
     given_up: Arc<Notify>,
     is_inside: AtomicBool,
+    /// Pieces of a long answer that were taken so far.
+    moved: AtomicU64,
     slots: Slots,
 }
 
@@ -96,7 +98,13 @@ impl Slots {
             counts.give_up_one();
         }
         drop(counts);
-        Some(Slot { network, given_up, is_inside: AtomicBool::new(false), slots: self.clone() })
+        Some(Slot {
+            network,
+            given_up,
+            is_inside: AtomicBool::new(false),
+            moved: AtomicU64::new(0),
+            slots: self.clone(),
+        })
     }
 
     /// Waits until no connection is left.
@@ -131,6 +139,16 @@ impl Slot {
         *counts.inside.entry(self.network).or_insert(0) += 1;
         self.is_inside.store(true, Ordering::Relaxed);
         Ok(())
+    }
+
+    /// A piece of a long answer was taken.
+    pub(super) fn moves(&self) {
+        self.moved.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// How many pieces were taken so far: somebody reads where there are more than a while ago.
+    pub(super) fn moved(&self) -> u64 {
+        self.moved.load(Ordering::Relaxed)
     }
 
     /// Its connection is cut for what it sent.

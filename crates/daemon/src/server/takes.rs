@@ -36,7 +36,14 @@ const LINGER: Duration = Duration::from_secs(30);
 pub(crate) trait Shelf: Send + Sync + 'static {
     /// Reads what has to be known of a recording before it is played; waits for the disk.
     fn open(&self, name: &str) -> Result<Take, TakeError>;
+
+    /// Is given what closes a take.
+    fn lend(&self, let_go: LetGo);
 }
+
+/// Closes the take of this name if nobody watches it any more, though somebody might come back; false where somebody does, and where it
+/// is not open.
+pub(crate) type LetGo = Box<dyn Fn(&str) -> bool + Send + Sync>;
 
 /// A recording that can be played.
 pub(crate) struct Take {
@@ -108,7 +115,14 @@ impl Drop for Watcher {
 
 impl Takes {
     pub(super) fn new(shelf: Arc<dyn Shelf>, context: &Arc<ConnectionContext>) -> Self {
-        Self { shelf, context: Arc::clone(context), open: Arc::default() }
+        let takes = Self { shelf, context: Arc::clone(context), open: Arc::default() };
+        let open = Arc::clone(&takes.open);
+        takes.shelf.lend(Box::new(move |name| {
+            let mut open = open.lock().unwrap_or_else(PoisonError::into_inner);
+            let is_left = open.get(name).is_some_and(|take| *take.watchers.borrow() == 0);
+            is_left && open.remove(name).is_some()
+        }));
+        takes
     }
 
     /// What is answered below `/takes`.

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use jiff::tz::TimeZone;
 
+use super::super::library;
 use super::super::server::Refusal;
 use super::Training;
 use super::plan::PlanRun;
@@ -155,11 +156,24 @@ impl Training {
             forgotten.recordings.retain(|name| {
                 let is_plain = Path::new(name).file_name().is_some_and(|plain| plain == name.as_str());
                 let is_running = current.as_ref() == Some(name);
-                is_running || !is_plain || !is_removed(&folder.join(name))
+                is_running || !is_plain || !is_removed(folder, name)
             });
         }
         state.publish(self.shared.lost());
         Ok(Some(Answer::Forgotten(forgotten)))
+    }
+
+    /// A recording has another name: that of a session is found by it.
+    pub(crate) fn recording_renamed(&self, from: &str, to: &str) {
+        let mut state = self.shared.lock();
+        // Without sessions there is nothing to say.
+        if !state.has_sessions() {
+            return;
+        }
+        let renamed = state.store().and_then(|store| store.rename_recording(from, to));
+        if let Err(error) = renamed {
+            tracing::warn!("sessions that were recorded in {from} do not know that it is {to} now: {error}");
+        }
     }
 
     pub(crate) fn plans(&self) -> Outcome {
@@ -178,16 +192,13 @@ impl Training {
     }
 }
 
-/// Whether a file is gone.
-fn is_removed(path: &Path) -> bool {
-    match std::fs::remove_file(path) {
-        Ok(()) => true,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => true,
-        Err(error) => {
-            tracing::warn!("cannot remove {}: {error}", path.display());
-            false
-        }
+/// Whether a recording is gone, with all that was made of it.
+fn is_removed(folder: &Path, name: &str) -> bool {
+    let removed = library::forget(folder, name);
+    if let Err(error) = &removed {
+        tracing::warn!("cannot remove {name} from {}: {error}", folder.display());
     }
+    removed.is_ok()
 }
 
 impl State {

@@ -97,12 +97,17 @@ impl State {
         Ok(self.store.insert(store))
     }
 
+    /// Whether anything was ever kept.
+    pub(super) fn has_sessions(&self) -> bool {
+        self.store.is_some() || self.file.exists()
+    }
+
     /// Reads what is kept. A database that is not there is an empty one: looking makes no file.
     pub(super) fn read<T>(
         &mut self,
         read: impl FnOnce(&Store) -> Result<T, StoreError>,
     ) -> Result<T, StoreError> {
-        if self.store.is_none() && !self.file.exists() {
+        if !self.has_sessions() {
             return read(&Store::in_memory()?);
         }
         read(self.store()?)

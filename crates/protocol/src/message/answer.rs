@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::{Digested, HealthHistory, Look, Removed, Renamed, Takes};
 use posed_sessions::{Forgotten, Person, Plan, SessionId, SessionSummary};
 
 /// What a request was answered with; which one gets which: [`Answers`]. All others are answered with `ok` alone.
@@ -21,6 +22,16 @@ pub enum Answer {
     Recordings(Recordings),
     /// To `replay.track`.
     Tracked(Tracked),
+    /// To `library.list`.
+    Takes(Takes),
+    /// To `library.digest`; one that is being made is as [`Started`].
+    Digested(Digested),
+    /// To `library.empty_bin`.
+    Removed(Removed),
+    /// To `replay.look`.
+    Look(Look),
+    /// To `health.history`.
+    History(HealthHistory),
     /// To `exercise.list`.
     Exercises(Exercises),
     /// To `exercise.demonstration`.
@@ -41,6 +52,8 @@ pub enum Answer {
     People(People),
     /// To `session.plans`.
     Plans(Plans),
+    /// To `library.rename`, `library.remove` and `library.restore`.
+    Renamed(Renamed),
 }
 
 /// Which events follow.
@@ -206,6 +219,24 @@ pub(crate) struct Answers {
     replay_track: Tracked,
     #[serde(rename = "replay.seek")]
     replay_seek: Started,
+    #[serde(rename = "replay.look")]
+    replay_look: Look,
+    #[serde(rename = "library.list")]
+    library_list: Takes,
+    #[serde(rename = "library.digest")]
+    library_digest: Digested,
+    #[serde(rename = "library.rename")]
+    library_rename: Renamed,
+    #[serde(rename = "library.remove")]
+    library_remove: Renamed,
+    #[serde(rename = "library.restore")]
+    library_restore: Renamed,
+    #[serde(rename = "library.empty_bin")]
+    library_empty_bin: Removed,
+    #[serde(rename = "library.export")]
+    library_export: Started,
+    #[serde(rename = "health.history")]
+    health_history: HealthHistory,
     #[serde(rename = "field.finish")]
     field_finish: Started,
     #[serde(rename = "field.accept")]

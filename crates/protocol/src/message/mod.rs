@@ -9,8 +9,10 @@ mod exercise;
 mod faults;
 mod field;
 mod hello;
+mod history;
 mod jobs;
 mod keyframes;
+mod library;
 mod marks;
 mod reply;
 mod segments;
@@ -33,8 +35,13 @@ pub use self::exercise::{Begun, Deviation, ExerciseChange, ExerciseEvent, Judged
 pub use self::faults::{Fault, FaultChange};
 pub use self::field::{FieldChange, FieldEvent};
 pub use self::hello::{Hello, HelloBody, HelloSensor};
+pub use self::history::{HealthHistory, SensorHistory};
 pub use self::jobs::{Job, JobState, Jobs};
 pub use self::keyframes::{KeyPose, ScrewMotion};
+pub use self::library::{
+    Digest, DigestCounts, DigestKeyPose, DigestMark, DigestRepetition, Digested, FaultSpan, LibraryTake,
+    Look, LookBody, LookSensor, Picture, PicturePath, Removed, Renamed, SegmentSpan, Takes,
+};
 pub use self::marks::Mark;
 pub use self::reply::{ErrorReply, OkReply};
 pub use self::segments::SegmentBody;

@@ -69,7 +69,8 @@ pub enum Feed {
     },
 }
 
-/// Requests for the daemon. All but `replay.list`, `replay.track`, `exercise.list` and `exercise.demonstration` need the role `operate`.
+/// Requests for the daemon. All but those that only tell something need the role `operate`: `replay.list`, `replay.track`,
+/// `replay.look`, `library.list`, `library.digest` without `make`, `health.history`, `exercise.list` and `exercise.demonstration`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "type", deny_unknown_fields)]
 pub enum Call {
@@ -120,6 +121,74 @@ pub enum Call {
         /// Multiple of real time; 0 pauses.
         speed: Speed,
     },
+    /// Tells where everything was at a time of the open recording, from what it shows to viewers: at once, and without moving the replay.
+    #[serde(rename = "replay.look")]
+    ReplayLook {
+        /// Seconds since the recording's epoch.
+        t_s: f64,
+    },
+    /// Tells which recordings there are, with what can be known of each without reading it.
+    #[serde(rename = "library.list")]
+    LibraryList {
+        /// Those in the bin instead; absent: those in the folder.
+        #[serde(default)]
+        bin: bool,
+    },
+    /// Tells what happens in a recording.
+    #[serde(rename = "library.digest")]
+    LibraryDigest {
+        /// A name that `library.list` gave.
+        name: String,
+        /// Whether a job makes one where there is none: by a replay, as long as that takes; needs the role `operate`. Absent: no.
+        #[serde(default)]
+        make: bool,
+    },
+    /// Gives a recording another name; what is kept beside it goes along.
+    #[serde(rename = "library.rename")]
+    LibraryRename {
+        /// A name that `library.list` gave.
+        name: String,
+        /// File name of letters, digits, `-`, `_`, `.` and spaces, without a path; one that is free.
+        to: String,
+    },
+    /// Puts a recording into the bin.
+    #[serde(rename = "library.remove")]
+    LibraryRemove {
+        /// A name that `library.list` gave.
+        name: String,
+    },
+    /// Takes a recording out of the bin.
+    #[serde(rename = "library.restore")]
+    LibraryRestore {
+        /// A name that `library.list` of the bin gave.
+        name: String,
+    },
+    /// Removes for good what is in the bin.
+    #[serde(rename = "library.empty_bin")]
+    LibraryEmptyBin {},
+    /// Writes a recording as a file for another program into the folder `exports`, from where `/exports/FILE` serves it; a job, whose result is `{file, rows, bytes}`.
+    #[serde(rename = "library.export")]
+    LibraryExport {
+        /// A name that `library.list` gave.
+        name: String,
+        /// As `--to` of `posed export`: `csv`, `jsonl`, `bvh`, `trc`, `glb`, `vrm`, `vrma`, `usda`, `c3d`, `sto`, `mot`, `mcap`.
+        format: String,
+        /// As `--bones`, for `bvh`; absent: `posed`.
+        #[serde(default)]
+        bones: Option<String>,
+        /// As `--model`, for `mot`; absent: `rajagopal`.
+        #[serde(default)]
+        model: Option<String>,
+        /// As `--body`: which of several bodies is shown, by name.
+        #[serde(default)]
+        body: Option<String>,
+        /// As `--frame`, for `csv`: `room` or `transmitter`; absent: `room`.
+        #[serde(default)]
+        frame: Option<String>,
+    },
+    /// Tells how the sensors were in the last hour.
+    #[serde(rename = "health.history")]
+    HealthHistory {},
     /// Begins a guided calibration of the field: move the pole, and follow what the topic `field` says.
     #[serde(rename = "field.start")]
     FieldStart {
@@ -386,16 +455,34 @@ pub enum Call {
 }
 
 impl Call {
-    /// Whether it needs the role `operate`: all do but `replay.list`, `replay.track`, `exercise.list` and `exercise.demonstration`.
+    /// Whether it needs the role `operate`: all do that do more than tell something.
     pub fn changes_something(&self) -> bool {
         let only_tells = matches!(
             self,
             Self::ReplayList {}
                 | Self::ReplayTrack { .. }
+                | Self::ReplayLook { .. }
+                | Self::LibraryList { .. }
+                | Self::LibraryDigest { make: false, .. }
+                | Self::HealthHistory {}
                 | Self::ExerciseList {}
                 | Self::ExerciseDemonstration { .. }
         );
         !only_tells
+    }
+
+    /// Whether it is about the folder of recordings, and so answered in the same way by a live stage and beside a replay.
+    pub fn is_of_library(&self) -> bool {
+        matches!(
+            self,
+            Self::LibraryList { .. }
+                | Self::LibraryDigest { .. }
+                | Self::LibraryRename { .. }
+                | Self::LibraryRemove { .. }
+                | Self::LibraryRestore { .. }
+                | Self::LibraryEmptyBin {}
+                | Self::LibraryExport { .. }
+        )
     }
 }
 

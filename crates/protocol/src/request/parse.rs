@@ -22,7 +22,7 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 37] = [
+const CALLS: [&str; 46] = [
     "record.start",
     "record.stop",
     "mark",
@@ -31,6 +31,15 @@ const CALLS: [&str; 37] = [
     "replay.open",
     "replay.seek",
     "replay.speed",
+    "replay.look",
+    "library.list",
+    "library.digest",
+    "library.rename",
+    "library.remove",
+    "library.restore",
+    "library.empty_bin",
+    "library.export",
+    "health.history",
     "field.start",
     "field.finish",
     "field.accept",
@@ -133,7 +142,7 @@ fn shortened(text: &str) -> String {
 
 /// Requests of every kind, for tests and as seeds of the fuzz target.
 #[doc(hidden)]
-pub const REQUEST_EXAMPLES: [&str; 40] = [
+pub const REQUEST_EXAMPLES: [&str; 49] = [
     r#"{"type":"subscribe","id":1,"topics":["sensors"],"max_rate_hz":30,"sensors":["a"],"fields":["raw"],"drop":"queue"}"#,
     r#"{"type":"unsubscribe","id":"x","topics":["status","body"]}"#,
     r#"{"type":"resume","id":1,"after":7}"#,
@@ -146,6 +155,15 @@ pub const REQUEST_EXAMPLES: [&str; 40] = [
     r#"{"type":"replay.seek","id":1,"t_s":3}"#,
     r#"{"type":"replay.speed","id":1,"speed":"max"}"#,
     r#"{"type":"replay.speed","id":1,"speed":0.5}"#,
+    r#"{"type":"replay.look","id":1,"t_s":2.5}"#,
+    r#"{"type":"library.list","id":1,"bin":true}"#,
+    r#"{"type":"library.digest","id":1,"name":"a.mcap","make":true}"#,
+    r#"{"type":"library.rename","id":1,"name":"a.mcap","to":"b"}"#,
+    r#"{"type":"library.remove","id":1,"name":"a.mcap"}"#,
+    r#"{"type":"library.restore","id":1,"name":"a.mcap"}"#,
+    r#"{"type":"library.empty_bin","id":1}"#,
+    r#"{"type":"library.export","id":1,"name":"a.mcap","format":"bvh","bones":"mixamo","body":"anna"}"#,
+    r#"{"type":"health.history","id":1}"#,
     r#"{"type":"field.start","id":1,"sensors":["a","b","c"],"spacing_m":0.3}"#,
     r#"{"type":"field.finish","id":1,"anchors":[{"name":"p","sensor":"a","t_start":1,"t_end":2,"position_m":[1,0,0]}]}"#,
     r#"{"type":"field.accept","id":1}"#,
