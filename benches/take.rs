@@ -14,19 +14,26 @@
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
 use posed_daemon::Playback;
-use posed_recording::{Brief, Header, Scribe};
+use posed_drivers::Timestamp;
+use posed_protocol::{Fields, Publisher};
+use posed_recording::{Brief, Chunks, Header, Looker, Scribe, Snapshot};
 use posed_stage::input::Entry;
 use serde_json::{Value, json};
 use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
 
 const DEMO: &str = include_str!("../config/demo.toml");
+/// When the take begins, s.
+const BEGUN_S: f64 = 20.0;
 /// Looks, and takes in the list.
 const MANY: usize = 300;
+/// Distance of two looks: a client may send 50 messages a second.
+const PACE: Duration = Duration::from_millis(25);
 
 fn main() {
     let argument = std::env::args().skip(1).find(|argument| !argument.starts_with("--"));
@@ -47,14 +54,26 @@ fn main() {
     tokio::runtime::Runtime::new().unwrap().block_on(measure(&path, &brief));
 }
 
-/// A take of `posed demo`, so many seconds long, in chunks of half a second.
+/// A take of `posed demo`, so many seconds long, in chunks of half a second; begun when all devices stream, as most are.
 fn make(path: &PathBuf, seconds: f64) {
     let (stage, mut rig) = posed_rig::demo();
-    let header = Header::new(&stage, DEMO, 1_700_000_000_000_000_000);
+    rig.run_until(BEGUN_S);
+    rig.forget();
+    let publisher = Publisher::new(&stage, Fields::all());
+    let snapshot = Snapshot {
+        pipeline: rig.pipeline.snapshot(),
+        publisher: rmp_serde::to_vec(&publisher.state()).unwrap(),
+    };
+    let header = Header {
+        begun: Timestamp::from_secs_f64(BEGUN_S),
+        models: rig.pipeline.models().clone(),
+        snapshot: Some(snapshot),
+        ..Header::new(&stage, DEMO, 1_700_000_000_000_000_000)
+    };
     let mut scribe = Scribe::new(BufWriter::new(File::create(path).unwrap()), header).unwrap();
     let begun = Instant::now();
     for half_seconds in 1..=(2.0 * seconds) as u32 {
-        rig.run_until(0.5 * f64::from(half_seconds));
+        rig.run_until(BEGUN_S + 0.5 * f64::from(half_seconds));
         let entry = |entry: &Entry| _ = scribe.entry(entry).unwrap();
         rig.log.iter().for_each(entry);
         rig.forget();
@@ -121,7 +140,27 @@ fn spread(mut times_ms: Vec<f64>) -> String {
     format!("median {:.2} ms, 99 % {:.2} ms, longest {:.2} ms", at(0.5), at(0.99), at(1.0))
 }
 
+/// What a look takes by itself, all over the take.
+fn look_alone(path: &Path, place: &impl Fn(f64) -> f64) -> (f64, Vec<f64>) {
+    let since = Instant::now();
+    let chunks = Arc::new(Chunks::read(path).unwrap().unwrap());
+    let mut looker = Looker::new(chunks).unwrap();
+    let opened_ms = ms(since);
+    let look = |number: usize| {
+        let since = Instant::now();
+        let look = looker.at(Timestamp::from_secs_f64(place(number as f64 * 0.618 % 1.0))).unwrap();
+        assert!(!look.sensors.is_empty());
+        ms(since)
+    };
+    (opened_ms, (0..MANY).map(look).collect())
+}
+
 async fn measure(path: &Path, brief: &Brief) {
+    let (begun_s, length_s) = (brief.begun.as_secs_f64(), brief.length_s.unwrap());
+    let place = |share: f64| begun_s + share * length_s;
+    let (opened_ms, alone) = look_alone(path, &place);
+    println!("index {opened_ms:.0} ms; look by itself: {}", spread(alone));
+
     let since = Instant::now();
     let playback = Playback::start(path, Some("127.0.0.1:0".to_owned()), 1.0).unwrap();
     let opened_ms = ms(since);
@@ -134,14 +173,15 @@ async fn measure(path: &Path, brief: &Brief) {
     client.until(|message| message["type"] == "sensors").await;
     println!("opened {opened_ms:.0} ms, greeted {greeted_ms:.0} ms, first poses {:.0} ms", ms(since));
 
-    let (begun_s, length_s) = (brief.begun.as_secs_f64(), brief.length_s.unwrap());
-    let place = |share: f64| begun_s + share * length_s;
     let mut scattered = Vec::new();
     let mut along = Vec::new();
+    let mut pace = tokio::time::interval(PACE);
     for number in 0..MANY {
+        pace.tick().await;
         // All over the take, never twice at one place; and as who drags along it, a minute in ten seconds.
         let (_, took_ms) = client.ask(look(place(number as f64 * 0.618 % 1.0))).await;
         scattered.push(took_ms);
+        pace.tick().await;
         let (_, took_ms) = client.ask(look(place(0.4) + number as f64 * 0.2)).await;
         along.push(took_ms);
     }

@@ -15,7 +15,7 @@ export type AnchorSpec = {
 };
 
 /** What a request was answered with; which one gets which: [`Answers`]. All others are answered with `ok` alone. */
-export type Answer = Resumed | RecordingBegun | Started | Forgotten | Recordings | Tracked | Takes | Digested | Removed | Look | HealthHistory | Exercises | Demonstration | MapVersion | KeptFile | SessionBegun | ListedSessions | Shown | Report | People | Plans | Renamed;
+export type Answer = Resumed | RecordingBegun | Started | Forgotten | Recordings | Tracked | Takes | Digested | Removed | Look | Labels | HealthHistory | Exercises | Demonstration | MapVersion | KeptFile | SessionBegun | ListedSessions | Shown | Report | People | Plans | Renamed;
 
 /** The `result` of each request that has one, by the request's `type`. */
 export type Answers = {
@@ -38,6 +38,8 @@ export type Answers = {
   "library.rename": Renamed;
   "library.restore": Renamed;
   "record.start": RecordingBegun;
+  "replay.label": Labels;
+  "replay.labels": Labels;
   "replay.list": Recordings;
   "replay.look": Look;
   "replay.seek": Started;
@@ -88,7 +90,7 @@ export type CalibratedSegment = {
   quat_wxyz: [number, number, number, number];
 };
 
-/** Requests for the daemon. All but those that only tell something need the role `operate`: `replay.list`, `replay.track`, `replay.look`, `library.list`, `library.digest` without `make`, `health.history`, `exercise.list` and `exercise.demonstration`. */
+/** Requests for the daemon. All but those that only tell something need the role `operate`: `replay.list`, `replay.track`, `replay.look`, `replay.labels`, `library.list`, `library.digest` without `make`, `health.history`, `exercise.list` and `exercise.demonstration`. */
 export type Call = {
   /** The reply carries it. */
   id: RequestId;
@@ -141,6 +143,24 @@ export type Call = {
   /** Seconds since the recording's epoch. */
   t_s: number;
   type: "replay.look";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** A name that `library.list` gave. */
+  name: string;
+  type: "replay.labels";
+} | {
+  /** Since when, stage time, s. */
+  from_s: number;
+  /** The reply carries it. */
+  id: RequestId;
+  /** What it shows, 200 bytes at most; empty: nothing is said of that time any more. */
+  label: string;
+  /** A name that `library.list` gave. */
+  name: string;
+  /** Until when, s. */
+  to_s: number;
+  type: "replay.label";
 } | {
   /** Those in the bin instead; absent: those in the folder. */
   bin?: boolean;
@@ -532,6 +552,8 @@ export type Digest = {
   dropped: DigestCounts;
   /** Faults of sensors. One that has gone on since before the recording is in it from its end on. */
   faults: FaultSpan[];
+  /** Capture time of its first frame, s: labels that are kept beside it count from there. Null where there is none. */
+  first_frame_s: number | null;
   /** Confirmed key poses. */
   key_poses: DigestKeyPose[];
   /** From there to its last entry, s. */
@@ -1177,6 +1199,22 @@ export type KeyPoseMessage = {
   t_s: number;
   /** Capture time of the key pose, s: the same in all events about one key pose. */
   t_valid_s: number;
+};
+
+/** What somebody says that a motion shows for a while. */
+export type LabelSpan = {
+  /** Since when, stage time, s. */
+  from_s: number;
+  /** What it shows. */
+  label: string;
+  /** Until when, s. */
+  to_s: number;
+};
+
+/** What somebody says that a recording shows. */
+export type Labels = {
+  /** In order of time. */
+  labels: LabelSpan[];
 };
 
 /** What movements have shown of a segment. */

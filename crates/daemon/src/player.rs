@@ -4,6 +4,7 @@
 //! thread stands in the place of the fusion thread, so a client cannot tell the two apart but by `status.replay`. Seeking
 //! is a job: filters have to pass through all that lies between, a batch at a time, while clients are listened to.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -22,9 +23,9 @@ use super::track;
 use super::waypoints::{Resumed, Waypoints};
 use posed_pipeline::SupervisedPipeline;
 use posed_protocol::{Answer, Call, Recordings, ReplayStatus, Started};
-use posed_recording::{Chunks, Item, Machine, MachineError, Outline, ReadError, Reader};
+use posed_recording::{Chunks, Header, Item, Machine, MachineError, Outline, ReadError, Reader};
 use posed_stage::Stage;
-use posed_stage::input::Entry;
+use posed_stage::input::{Entry, Model};
 
 /// Distance of two `status` messages, and the longest time without looking at the clients.
 const STATUS_INTERVAL: Duration = Duration::from_secs(1);
@@ -79,6 +80,20 @@ impl Played {
             None => Outline::read(path)?.end,
         };
         Ok(Self { path: path.to_owned(), end, chunks })
+    }
+
+    /// Makes what is costly of the models that are in use at the beginning.
+    pub(super) fn prepare(&self) {
+        for model in self.chunks.iter().flat_map(|chunks| chunks.header().models.iter()) {
+            if let Model::Field { map: Some(map), .. } = model {
+                map.corrector();
+            }
+        }
+    }
+
+    /// What stands in front, rather as it was read once: what is costly of its models is made once then.
+    pub(super) fn header<'a, R: Read>(&'a self, reader: &'a Reader<R>) -> &'a Header {
+        self.chunks.as_ref().map_or_else(|| reader.header(), |chunks| chunks.header())
     }
 }
 
@@ -225,6 +240,8 @@ impl Player {
             // Not for this thread: they are answered beside it.
             Call::ReplayTrack { .. }
             | Call::ReplayLook { .. }
+            | Call::ReplayLabels { .. }
+            | Call::ReplayLabel { .. }
             | Call::LibraryList { .. }
             | Call::LibraryDigest { .. }
             | Call::LibraryRename { .. }
@@ -350,7 +367,7 @@ impl Playing {
     /// Opens a recording at its beginning; on the stage of a running server, where that has one.
     fn open(played: Played, server: Option<&Stage>, speed: f64, now: Timestamp) -> Result<Self, PlayError> {
         let reader = Reader::open(&played.path)?;
-        let (stage, machine) = Machine::as_recorded(reader.header())?;
+        let (stage, machine) = Machine::as_recorded(played.header(&reader))?;
         let names =
             |stage: &Stage| stage.sensors.iter().map(|sensor| sensor.name.clone()).collect::<Vec<_>>();
         if let Some(server) = server

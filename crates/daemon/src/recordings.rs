@@ -20,7 +20,7 @@ pub enum FindError {
         error: io::Error,
     },
     /// There is no recording of that name.
-    #[error("name: there is no recording {0:?}; library.list names them")]
+    #[error("name: there is no recording {0:?}; replay.list names them")]
     Unknown(String),
 }
 

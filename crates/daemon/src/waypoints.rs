@@ -61,6 +61,8 @@ impl Waypoints {
         let (filled, played) = (Arc::clone(&found), played.clone());
         #[expect(clippy::disallowed_methods, reason = "the daemon owns this thread, too")]
         let thread = std::thread::Builder::new().name("waypoints".into()).spawn(move || {
+            // Who plays waits for the same: before this gives way.
+            played.prepare();
             let _ = rustix::process::nice(NICE);
             if let Err(error) = filled.pass_through(&played, MOST_BYTES) {
                 // What came before is of use, and who watches meets the same.
@@ -97,7 +99,7 @@ impl Drop for Waypoints {
 impl Found {
     fn pass_through(&self, played: &Played, most_bytes: usize) -> Result<(), PlayError> {
         let reader = Reader::open(&played.path)?;
-        let (_, Machine { mut pipeline, .. }) = Machine::as_recorded(reader.header())?;
+        let (_, Machine { mut pipeline, .. }) = Machine::as_recorded(played.header(&reader))?;
         let begun = reader.header().begun;
         let duration_s = played.end.seconds_since(begun);
         let mut next = begun + Duration::from_secs_f64(CLOSEST_S);

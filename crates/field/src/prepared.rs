@@ -7,18 +7,18 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use super::corrector::Corrector;
 use super::map::FieldMap;
 
-/// A map and its fast form. Clones share the map, and the fast form once it is made; files and logs hold the map alone,
+/// A map and its fast form. Clones share the map, and the fast form whichever of them makes it; files and logs hold the map alone,
 /// and the fast form follows from it.
 #[derive(Clone, Debug)]
 pub struct Prepared {
     map: Arc<FieldMap>,
-    corrector: OnceLock<Arc<Corrector>>,
+    corrector: Arc<OnceLock<Corrector>>,
 }
 
 impl Prepared {
     /// A map whose fast form is not made yet.
     pub fn new(map: FieldMap) -> Self {
-        Self { map: Arc::new(map), corrector: OnceLock::new() }
+        Self { map: Arc::new(map), corrector: Arc::default() }
     }
 
     /// The map as it was given.
@@ -29,7 +29,7 @@ impl Prepared {
     /// The fast form. The first call makes it, which takes a good part of a second: call it on a thread that has time
     /// before the map goes to one that has none.
     pub fn corrector(&self) -> &Corrector {
-        self.corrector.get_or_init(|| Arc::new(self.map.corrector()))
+        self.corrector.get_or_init(|| self.map.corrector())
     }
 }
 

@@ -52,6 +52,7 @@ pub struct Digester {
     names: Names,
     begun: Timestamp,
     end: Timestamp,
+    first_frame: Option<Timestamp>,
     marks: Thinned<DigestMark>,
     faults: Thinned<FaultSpan>,
     /// Of each sensor the fault that it has, and since when, s.
@@ -82,6 +83,7 @@ impl Digester {
             names,
             begun,
             end: begun,
+            first_frame: None,
             marks: Thinned::new(MOST),
             faults: Thinned::new(MOST),
             faulty: vec![None; sensors],
@@ -115,6 +117,7 @@ impl Digester {
     }
 
     fn estimate(&mut self, estimate: &Estimate) {
+        self.first_frame.get_or_insert(estimate.t_valid);
         for (path, sensor) in self.paths.iter_mut().zip(&estimate.sensors) {
             if let Some(position_m) = sensor.usable_pose().and_then(|pose| pose.position_m) {
                 path.push(|| millimetres(position_m));
@@ -208,6 +211,8 @@ impl Digester {
         Digest {
             begun_s: milliseconds(self.begun),
             length_s: rounded(1e3, self.end.seconds_since(self.begun)),
+            // As messages have it.
+            first_frame_s: self.first_frame.map(|t| rounded(1e6, t.as_secs_f64())),
             counts,
             dropped,
             picture: self.picture(),

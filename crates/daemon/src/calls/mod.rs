@@ -167,7 +167,9 @@ impl Calls {
                 reply.answer(listed.map(answer));
             }
             Call::ReplayTrack { name, columns } => track::answer(&self.recordings, &name, columns, reply),
-            call @ (Call::LibraryList { .. }
+            call @ (Call::ReplayLabels { .. }
+            | Call::ReplayLabel { .. }
+            | Call::LibraryList { .. }
             | Call::LibraryDigest { .. }
             | Call::LibraryRename { .. }
             | Call::LibraryRemove { .. }

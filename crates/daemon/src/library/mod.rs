@@ -6,6 +6,7 @@
 
 mod export;
 mod in_use;
+mod labels;
 mod list;
 mod moving;
 
@@ -123,6 +124,10 @@ impl Librarian {
 
     fn carry_out(&mut self, call: Call, reply: Reply, jobs: &Jobs) {
         match call {
+            Call::ReplayLabels { name } => reply.answer(self.labels(&name)),
+            Call::ReplayLabel { name, from_s, to_s, label } => {
+                reply.answer(self.label(&name, from_s, to_s, &label));
+            }
             Call::LibraryList { bin } => reply.answer(self.list(bin)),
             Call::LibraryDigest { name, make } => self.digest(&name, make, reply, jobs),
             Call::LibraryRename { name, to } => reply.answer(self.rename(&name, &to)),

@@ -285,3 +285,42 @@ fn more_calls_than_may_wait_for_a_disk_that_hangs_are_refused_and_those_that_wai
     hangs.try_iter().for_each(|ask| ask.reply.ok(None));
     assert_eq!(crate::server::testing::ids(&asking.answers()), (0..WAITING).collect::<Vec<_>>());
 }
+
+#[test]
+fn what_somebody_says_of_a_take_is_kept_where_training_reads_it() {
+    let desk = Desk::new();
+    desk.record("a.mcap");
+    let label = |from_s, to_s, label: &str| Call::ReplayLabel {
+        name: "a.mcap".into(),
+        from_s,
+        to_s,
+        label: label.into(),
+    };
+    let labels = || Call::ReplayLabels { name: "a.mcap".into() };
+    assert_eq!(desk.code(label(11.0, 12.0, "walk")), "no_digest");
+    assert_eq!(desk.ok(labels()), json!({"labels": []}));
+    let digest = posed_protocol::Digest { first_frame_s: Some(10.25), ..Default::default() };
+    keep_digest(&desk.path("a.mcap"), &digest).unwrap();
+    let walk = json!({"label": "walk", "from_s": 11.0, "to_s": 13.5});
+    assert_eq!(desk.ok(label(11.0, 13.5, " walk ")), json!({"labels": [walk]}));
+    desk.ok(label(12.0, 13.0, "pick"));
+    desk.ok(label(12.0, 20.0, ""));
+    let left = json!({"labels": [{"label": "walk", "from_s": 11.0, "to_s": 12.0}]});
+    assert_eq!(desk.ok(labels()), left);
+    let kept = posed_recording::table::read_elan_segments(&desk.path("a.eaf")).unwrap();
+    assert_eq!(kept, [("walk".to_owned(), 0.75, 1.75)], "s since the first frame");
+    for wrong in [
+        label(2.0, 1.0, "x"),
+        label(1.0, 1.0, "x"),
+        label(0.0, 1.0, &"x".repeat(201)),
+        label(0.0, 1.0, "a\nb"),
+    ] {
+        assert_eq!(desk.code(wrong), "bad_request");
+    }
+    let elsewhere = Call::ReplayLabel { name: "../a.mcap".into(), from_s: 0.0, to_s: 1.0, label: "x".into() };
+    assert_eq!(desk.code(elsewhere), "not_found");
+    // Labels frame by frame count before these, and are not touched.
+    fs::write(desk.path("a.labels.csv"), "t,label\n10.25,sit\n10.5,sit\n10.75,\n").unwrap();
+    assert_eq!(desk.code(label(11.0, 13.5, "walk")), "exists");
+    assert_eq!(desk.ok(labels()), json!({"labels": [{"label": "sit", "from_s": 10.25, "to_s": 10.75}]}));
+}

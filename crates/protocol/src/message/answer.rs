@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Digested, HealthHistory, Look, Removed, Renamed, Takes};
+use super::{Digested, HealthHistory, Labels, Look, Removed, Renamed, Takes};
 use posed_sessions::{Forgotten, Person, Plan, SessionId, SessionSummary};
 
 /// What a request was answered with; which one gets which: [`Answers`]. All others are answered with `ok` alone.
@@ -30,6 +30,8 @@ pub enum Answer {
     Removed(Removed),
     /// To `replay.look`.
     Look(Look),
+    /// To `replay.labels` and `replay.label`.
+    Labels(Labels),
     /// To `health.history`.
     History(HealthHistory),
     /// To `exercise.list`.
@@ -221,6 +223,10 @@ pub(crate) struct Answers {
     replay_seek: Started,
     #[serde(rename = "replay.look")]
     replay_look: Look,
+    #[serde(rename = "replay.labels")]
+    replay_labels: Labels,
+    #[serde(rename = "replay.label")]
+    replay_label: Labels,
     #[serde(rename = "library.list")]
     library_list: Takes,
     #[serde(rename = "library.digest")]

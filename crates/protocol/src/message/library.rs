@@ -75,6 +75,9 @@ pub struct Digest {
     pub begun_s: f64,
     /// From there to its last entry, s.
     pub length_s: f64,
+    /// Capture time of its first frame, s: labels that are kept beside it count from there. Null where there is none.
+    #[serde(default)]
+    pub first_frame_s: Option<f64>,
     /// How many of each kind happened.
     pub counts: DigestCounts,
     /// How many of each kind are not listed.
@@ -216,4 +219,22 @@ pub struct LookBody {
     pub name: String,
     /// Its segments, as in `body`.
     pub segments: Vec<super::FigureSegment>,
+}
+
+/// What somebody says that a recording shows.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Labels {
+    /// In order of time.
+    pub labels: Vec<LabelSpan>,
+}
+
+/// What somebody says that a motion shows for a while.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct LabelSpan {
+    /// What it shows.
+    pub label: String,
+    /// Since when, stage time, s.
+    pub from_s: f64,
+    /// Until when, s.
+    pub to_s: f64,
 }

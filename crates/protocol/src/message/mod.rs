@@ -39,8 +39,9 @@ pub use self::history::{HealthHistory, SensorHistory};
 pub use self::jobs::{Job, JobState, Jobs};
 pub use self::keyframes::{KeyPose, ScrewMotion};
 pub use self::library::{
-    Digest, DigestCounts, DigestKeyPose, DigestMark, DigestRepetition, Digested, FaultSpan, LibraryTake,
-    Look, LookBody, LookSensor, Picture, PicturePath, Removed, Renamed, SegmentSpan, Takes,
+    Digest, DigestCounts, DigestKeyPose, DigestMark, DigestRepetition, Digested, FaultSpan, LabelSpan,
+    Labels, LibraryTake, Look, LookBody, LookSensor, Picture, PicturePath, Removed, Renamed, SegmentSpan,
+    Takes,
 };
 pub use self::marks::Mark;
 pub use self::reply::{ErrorReply, OkReply};

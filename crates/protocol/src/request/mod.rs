@@ -70,7 +70,7 @@ pub enum Feed {
 }
 
 /// Requests for the daemon. All but those that only tell something need the role `operate`: `replay.list`, `replay.track`,
-/// `replay.look`, `library.list`, `library.digest` without `make`, `health.history`, `exercise.list` and `exercise.demonstration`.
+/// `replay.look`, `replay.labels`, `library.list`, `library.digest` without `make`, `health.history`, `exercise.list` and `exercise.demonstration`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "type", deny_unknown_fields)]
 pub enum Call {
@@ -126,6 +126,25 @@ pub enum Call {
     ReplayLook {
         /// Seconds since the recording's epoch.
         t_s: f64,
+    },
+    /// Tells what somebody has said that a recording shows: the labels beside it, which `segments.train` learns from.
+    #[serde(rename = "replay.labels")]
+    ReplayLabels {
+        /// A name that `library.list` gave.
+        name: String,
+    },
+    /// Says what a recording shows for a while, in the place of what was said of that time before; kept beside it, where
+    /// `segments.train` reads it. The recording needs a digest.
+    #[serde(rename = "replay.label")]
+    ReplayLabel {
+        /// A name that `library.list` gave.
+        name: String,
+        /// Since when, stage time, s.
+        from_s: f64,
+        /// Until when, s.
+        to_s: f64,
+        /// What it shows, 200 bytes at most; empty: nothing is said of that time any more.
+        label: String,
     },
     /// Tells which recordings there are, with what can be known of each without reading it.
     #[serde(rename = "library.list")]
@@ -462,6 +481,7 @@ impl Call {
             Self::ReplayList {}
                 | Self::ReplayTrack { .. }
                 | Self::ReplayLook { .. }
+                | Self::ReplayLabels { .. }
                 | Self::LibraryList { .. }
                 | Self::LibraryDigest { make: false, .. }
                 | Self::HealthHistory {}
@@ -475,7 +495,9 @@ impl Call {
     pub fn is_of_library(&self) -> bool {
         matches!(
             self,
-            Self::LibraryList { .. }
+            Self::ReplayLabels { .. }
+                | Self::ReplayLabel { .. }
+                | Self::LibraryList { .. }
                 | Self::LibraryDigest { .. }
                 | Self::LibraryRename { .. }
                 | Self::LibraryRemove { .. }

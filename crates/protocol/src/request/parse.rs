@@ -22,7 +22,7 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 46] = [
+const CALLS: [&str; 48] = [
     "record.start",
     "record.stop",
     "mark",
@@ -32,6 +32,8 @@ const CALLS: [&str; 46] = [
     "replay.seek",
     "replay.speed",
     "replay.look",
+    "replay.labels",
+    "replay.label",
     "library.list",
     "library.digest",
     "library.rename",
@@ -142,7 +144,7 @@ fn shortened(text: &str) -> String {
 
 /// Requests of every kind, for tests and as seeds of the fuzz target.
 #[doc(hidden)]
-pub const REQUEST_EXAMPLES: [&str; 49] = [
+pub const REQUEST_EXAMPLES: [&str; 51] = [
     r#"{"type":"subscribe","id":1,"topics":["sensors"],"max_rate_hz":30,"sensors":["a"],"fields":["raw"],"drop":"queue"}"#,
     r#"{"type":"unsubscribe","id":"x","topics":["status","body"]}"#,
     r#"{"type":"resume","id":1,"after":7}"#,
@@ -156,6 +158,8 @@ pub const REQUEST_EXAMPLES: [&str; 49] = [
     r#"{"type":"replay.speed","id":1,"speed":"max"}"#,
     r#"{"type":"replay.speed","id":1,"speed":0.5}"#,
     r#"{"type":"replay.look","id":1,"t_s":2.5}"#,
+    r#"{"type":"replay.labels","id":1,"name":"a.mcap"}"#,
+    r#"{"type":"replay.label","id":1,"name":"a.mcap","from_s":1,"to_s":2.5,"label":"walk"}"#,
     r#"{"type":"library.list","id":1,"bin":true}"#,
     r#"{"type":"library.digest","id":1,"name":"a.mcap","make":true}"#,
     r#"{"type":"library.rename","id":1,"name":"a.mcap","to":"b"}"#,

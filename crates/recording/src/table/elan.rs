@@ -8,6 +8,45 @@ use super::{Sequences, TableError};
 /// The tier that is written, and read first.
 const TIER: &str = "segments";
 
+/// Segments of an annotation file: label, beginning and end, s since the sequence's first frame, in order of time.
+pub type ElanSegments = Vec<(String, f64, f64)>;
+
+/// Reads the segments of an annotation file: of its tier `segments`, or of its only one.
+///
+/// # Errors
+/// The file cannot be read, or is none of ELAN's.
+pub fn read_elan_segments(path: &Path) -> Result<ElanSegments, TableError> {
+    let segments = read(path)?.into_iter();
+    Ok(segments.map(|(from_ms, end_ms, label)| (label, from_ms * 1e-3, end_ms * 1e-3)).collect())
+}
+
+/// Says `label` of the time between, s, in the place of what was said of it; nothing where it is empty.
+pub fn relabel(segments: ElanSegments, from_s: f64, end_s: f64, label: &str) -> ElanSegments {
+    let mut all = ElanSegments::new();
+    for (known, known_from_s, known_end_s) in segments {
+        for (from_s, end_s) in
+            [(known_from_s, known_end_s.min(from_s)), (known_from_s.max(end_s), known_end_s)]
+        {
+            if end_s > from_s {
+                all.push((known.clone(), from_s, end_s));
+            }
+        }
+    }
+    if !label.is_empty() {
+        all.push((label.to_owned(), from_s, end_s));
+    }
+    all.sort_by(|one, other| one.1.total_cmp(&other.1));
+    // What is said twice in a row is one segment.
+    let mut joined: ElanSegments = Vec::with_capacity(all.len());
+    for segment in all {
+        match joined.last_mut() {
+            Some(last) if last.0 == segment.0 && last.2 >= segment.1 => last.2 = last.2.max(segment.2),
+            _ => joined.push(segment),
+        }
+    }
+    joined
+}
+
 /// The text of an annotation file with segments: label, beginning and end, s since the sequence's first frame. Times are rounded
 /// to whole milliseconds, as the format has them.
 pub fn write_elan<'a>(segments: impl IntoIterator<Item = (&'a str, f64, f64)>) -> String {
@@ -47,12 +86,7 @@ pub fn write_elan<'a>(segments: impl IntoIterator<Item = (&'a str, f64, f64)>) -
 /// # Errors
 /// The file cannot be read, or is none of ELAN's.
 pub(super) fn read_elan(path: &Path, sequences: &mut Sequences) -> Result<(), TableError> {
-    let file = path.display().to_string();
-    let text = match std::fs::read_to_string(path) {
-        Ok(text) => text,
-        Err(source) => return Err(TableError::Io { tried: "read", file, source }),
-    };
-    let segments = parse(&text).map_err(|what| TableError::Labels { file, what })?;
+    let segments = read(path)?;
     let start_s = sequences.frames.first().map_or(0.0, |frame| frame.t_s);
     for frame in &mut sequences.frames {
         let at_ms = (frame.t_s - start_s) * 1000.0;
@@ -67,6 +101,15 @@ pub(super) fn read_elan(path: &Path, sequences: &mut Sequences) -> Result<(), Ta
         }
     }
     Ok(())
+}
+
+fn read(path: &Path) -> Result<Vec<(f64, f64, String)>, TableError> {
+    let file = path.display().to_string();
+    let text = match std::fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(source) => return Err(TableError::Io { tried: "read", file, source }),
+    };
+    parse(&text).map_err(|what| TableError::Labels { file, what })
 }
 
 /// (from, end, label) of each annotation, in milliseconds, by time.
@@ -135,5 +178,19 @@ mod tests {
         let labelled = sequences.frames.iter().filter(|frame| frame.label.is_some()).count();
         assert_eq!((labelled, sequences.frames[99].label.as_deref()), (30, None));
         assert!(parse("<x/>").unwrap_err().contains("tier"));
+    }
+
+    #[test]
+    fn what_is_said_anew_takes_the_place_of_what_was_said_of_that_time() {
+        let said = |segments: &[(&str, f64, f64)]| -> ElanSegments {
+            segments.iter().map(|(label, from_s, end_s)| ((*label).to_owned(), *from_s, *end_s)).collect()
+        };
+        let walk = said(&[("walk", 0.0, 10.0)]);
+        let bent = relabel(walk.clone(), 4.0, 6.0, "pick");
+        assert_eq!(bent, said(&[("walk", 0.0, 4.0), ("pick", 4.0, 6.0), ("walk", 6.0, 10.0)]));
+        assert_eq!(relabel(bent.clone(), 4.0, 6.0, "walk"), walk);
+        assert_eq!(relabel(bent.clone(), 3.0, 12.0, ""), said(&[("walk", 0.0, 3.0)]));
+        assert_eq!(relabel(bent, -1.0, 20.0, "rest"), said(&[("rest", -1.0, 20.0)]));
+        assert_eq!(relabel(Vec::new(), 1.0, 2.0, "rest"), said(&[("rest", 1.0, 2.0)]));
     }
 }

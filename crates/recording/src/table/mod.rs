@@ -22,7 +22,7 @@ mod tests;
 mod training_set;
 mod writer;
 
-pub use elan::write_elan;
+pub use elan::{ElanSegments, read_elan_segments, relabel, write_elan};
 pub use error::TableError;
 pub use imu::{Imu, ImuRow};
 pub use labelled::{Named, read_labelled, read_labelled_folder, read_labelled_recordings, stem};
