@@ -74,6 +74,15 @@ enum Whose {
     Body(BodyIndex),
 }
 
+/// A message that shows somebody.
+struct Found {
+    whose: Whose,
+    t: Timestamp,
+    /// Where it is.
+    shown: Arc<Shown>,
+    place: usize,
+}
+
 impl Looker {
     /// For a recording whose index was read.
     ///
@@ -117,10 +126,9 @@ impl Looker {
             .collect();
         around.sort_unstable();
         // The last of each of those who are looked for, at or before `t`.
-        let mut last: Vec<(Whose, Timestamp, Arc<Shown>, usize)> = Vec::new();
+        let mut last: Vec<Found> = Vec::new();
         while let Some((to, chunk)) = around.pop() {
-            let all_later = |(_, shown_t, ..): &(Whose, Timestamp, Arc<Shown>, usize)| *shown_t >= to;
-            if last.len() > self.bodies.len() && last.iter().all(all_later) {
+            if last.len() > self.bodies.len() && last.iter().all(|found| found.t >= to) {
                 break;
             }
             let shown = self.shown(chunk, channel)?;
@@ -129,47 +137,45 @@ impl Looker {
                     continue;
                 }
                 let Some(whose) = self.whose(bytes) else { continue };
-                match last.iter_mut().find(|(known, ..)| *known == whose) {
-                    Some(known) if known.1 > *shown_t => {}
-                    Some(known) => *known = (whose, *shown_t, Arc::clone(&shown), place),
-                    None => last.push((whose, *shown_t, Arc::clone(&shown), place)),
+                let found = Found { whose, t: *shown_t, shown: Arc::clone(&shown), place };
+                match last.iter_mut().find(|known| known.whose == whose) {
+                    Some(known) if known.t > found.t => {}
+                    Some(known) => *known = found,
+                    None => last.push(found),
                 }
             }
         }
         if last.is_empty() {
             last = self.first(t, channel)?;
         }
-        let Some(newest) = last.iter().map(|(_, shown_t, ..)| *shown_t).max() else { return Ok(look) };
+        let Some(newest) = last.iter().map(|found| found.t).max() else { return Ok(look) };
         look.t_s = newest.as_secs_f64();
-        for (_, _, shown, place) in &last {
+        for Found { shown, place, .. } in &last {
             self.put(&shown[*place].1, &mut look);
         }
         let at = |name: &str| self.names.sensors().position(|(known, _)| known == name);
-        look.sensors.sort_by_key(|sensor| at(&sensor.name));
-        look.bodies
-            .sort_by_key(|body| self.names.bodies().find(|index| self.names.body_name(*index) == body.name));
+        look.sensors.sort_by_cached_key(|sensor| at(&sensor.name));
+        look.bodies.sort_by_cached_key(|body| {
+            self.names.bodies().find(|index| self.names.body_name(*index) == body.name)
+        });
         Ok(look)
     }
 
     /// What was shown first after `t`.
-    fn first(
-        &mut self,
-        t: Timestamp,
-        channel: u16,
-    ) -> Result<Vec<(Whose, Timestamp, Arc<Shown>, usize)>, ReadError> {
+    fn first(&mut self, t: Timestamp, channel: u16) -> Result<Vec<Found>, ReadError> {
         let mut later: Vec<(Timestamp, usize)> = (self.chunks.times().enumerate())
             .filter(|(_, (from, to))| *to > t && from.seconds_since(t) < LATEST.as_secs_f64())
             .map(|(chunk, (from, _))| (from, chunk))
             .collect();
         later.sort_unstable();
-        let mut first: Vec<(Whose, Timestamp, Arc<Shown>, usize)> = Vec::new();
+        let mut first: Vec<Found> = Vec::new();
         for (_, chunk) in later.into_iter().take(FIRST_CHUNKS) {
             let shown = self.shown(chunk, channel)?;
             for (place, (shown_t, bytes)) in shown.iter().enumerate().filter(|(_, (at, _))| *at > t) {
                 if let Some(whose) = self.whose(bytes)
-                    && !first.iter().any(|(known, ..)| *known == whose)
+                    && !first.iter().any(|known| known.whose == whose)
                 {
-                    first.push((whose, *shown_t, Arc::clone(&shown), place));
+                    first.push(Found { whose, t: *shown_t, shown: Arc::clone(&shown), place });
                 }
             }
             if !first.is_empty() {
