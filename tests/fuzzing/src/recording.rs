@@ -1,6 +1,8 @@
 //! Damaged recordings.
 
-use posed_recording::{Info, Item, Outline, Reader, Repaired, Take, repair};
+use std::sync::Arc;
+
+use posed_recording::{Brief, Chunks, Info, Item, Looker, Outline, Reader, Repaired, Take, repair};
 
 use crate::files::file;
 
@@ -19,6 +21,13 @@ pub(crate) fn recording(data: &[u8]) {
     let described = Info::read(&path, |_| ());
     let outline = Outline::read(&path);
     assert!(described.is_err() || outline.is_ok(), "{outline:?}");
+    let brief = Brief::read(&path);
+    assert!(described.is_err() || brief.is_ok(), "{brief:?}");
+    if let (Ok(Some(chunks)), Ok(outline)) = (Chunks::read(&path), &outline)
+        && let Ok(mut looker) = Looker::new(Arc::new(chunks))
+    {
+        let _ = looker.at(outline.end);
+    }
     match repair(&path, |_| ()) {
         Ok(Repaired::WasComplete) => {
             assert_eq!(described.expect("it was read through").problem, None, "complete, and not");
