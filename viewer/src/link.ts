@@ -35,7 +35,7 @@ export function websocketOf(page: Location): string {
  * The token of this tab. One in the page's address (`?token=` or `#token=`) is kept for the tab and taken out of the address, so
  * that neither the history nor a copied link has it.
  */
-function tokenOf(page: Location): string | null {
+export function tokenOf(page: Location): string | null {
   const address = new URL(page.href);
   const hash = new URLSearchParams(address.hash.slice(1));
   const given = address.searchParams.get("token") ?? hash.get("token");
@@ -59,16 +59,21 @@ export class Link {
   private states: Topic[] = [];
   private waiting = new Map<number, { resolve: (result: unknown) => void; reject: (error: Error) => void }>();
 
+  private closes = false;
+
+  /** `address`: another websocket than the one beside the page; `feeds`: whether it wants what the stage publishes, and not only answers. */
   constructor(
     private readonly onMessage: (message: ServerMessage) => void,
     private readonly onState: (state: LinkState, why: string) => void,
+    private readonly address = () => websocketOf(location),
+    private readonly feeds = true,
   ) {}
 
   connect(): void {
     this.onState("connecting", "");
     const token = tokenOf(location);
     const query = token === null ? "" : `?token=${encodeURIComponent(token)}`;
-    const socket = new WebSocket(websocketOf(location) + query, "posed.v1");
+    const socket = new WebSocket(this.address() + query, "posed.v1");
     this.socket = socket;
     let greeted = false;
     socket.onmessage = ({ data }) => {
@@ -90,6 +95,12 @@ export class Link {
       this.waiting.clear();
       void this.closed(greeted, reason || `connection lost (${code})`);
     };
+  }
+
+  /** Ends the connection for good. */
+  close(): void {
+    this.closes = true;
+    this.socket?.close();
   }
 
   /** The token is kept for this tab and tried at once. */
@@ -123,6 +134,7 @@ export class Link {
 
   private greet(hello: Hello): void {
     this.onState("open", "");
+    if (!this.feeds) return;
     this.states = hello.topics.filter((topic) => topic === "sensors" || topic === "truth" || topic === "body");
     const rest = hello.topics.filter((topic) => !this.states.includes(topic));
     this.request({ type: "subscribe", topics: rest }).catch(ignore);
@@ -141,6 +153,7 @@ export class Link {
   }
 
   private async closed(greeted: boolean, why: string): Promise<void> {
+    if (this.closes) return;
     // A browser does not say why a websocket was refused; the daemon reports it over HTTP.
     if (!greeted && (await isUnauthorised())) {
       this.onState("unauthorised", "");

@@ -1,7 +1,7 @@
 // What the daemon has said: the newest state of each topic, a short history for curves and trails, the last events.
 // Bounded: it never grows over hours.
 
-import type { Change, ExerciseEventMessage, FaultEvent, FaultMap, FieldEventMessage, FigureMessage, Hello, HelloBody, JobsMessage, KeyPoseMessage, MotionSegmentMessage, Pose, ScrewMotion, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage, Vec3 } from "./protocol";
+import type { Change, ExerciseEventMessage, FaultEvent, FaultMap, FieldEventMessage, FigureMessage, Hello, HelloBody, JobsMessage, KeyPoseMessage, Look, MotionSegmentMessage, Pose, ScrewMotion, SegmentEntry, SensorEntry, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage, Vec3 } from "./protocol";
 import { Rows } from "./rows";
 
 /** Seconds of history for curves. */
@@ -35,6 +35,9 @@ export type Faults = { sensor: string; cause: string; t_s: number; times: number
 /** A map of the field that was swapped in. */
 export type FieldMap = Extract<FieldEventMessage, { event: "map_swapped" }>;
 
+/** A body as it is drawn. */
+export type Seen = { segments: readonly (Pick<SegmentEntry, "name" | "position_m" | "orientation_wxyz"> & Partial<SegmentEntry>)[]; contacts?: FigureMessage["contacts"] };
+
 /** A repetition that has been judged. */
 export type Repetition = Extract<ExerciseEventMessage, { event: "counted" | "rejected" }>;
 
@@ -58,6 +61,8 @@ export class Model {
   readonly bodies = new Map<string, FigureMessage>();
   /** Who is looked at, by the name of the body: whom the address names, or the first one. */
   person: string | null = null;
+  /** What somebody looks at in a recording in the place of what plays: sensors and bodies by name; null: nobody does. */
+  private moment: { sensors: SensorEntry[]; bodies: Map<string, Seen> } | null = null;
   truth: TruthsMessage | null = null;
   status: StatusMessage | null = null;
   jobs: JobsMessage | null = null;
@@ -114,6 +119,28 @@ export class Model {
     return this.several ? { body: this.person! } : {};
   }
 
+  /** What the picture shows of sensors: what came last, or what is looked at. */
+  get seenSensors(): SensorEntry[] | null {
+    return this.moment?.sensors ?? this.sensors?.sensors ?? null;
+  }
+
+  /** What the picture shows of a body. */
+  seenBody(name: string): Seen | undefined {
+    return this.moment ? this.moment.bodies.get(name) : this.bodies.get(name);
+  }
+
+  /** Shows a moment of the recording in the picture; null: what plays. */
+  look(moment: Look | null): void {
+    this.version++;
+    const known = new Map(moment?.sensors.map((sensor) => [sensor.name, sensor]));
+    // All of the stage, in its order: what was not good then is missing.
+    const entry = (name: string): SensorEntry => ({ name, state: known.has(name) ? "ok" : "missing", ...known.get(name) });
+    this.moment = moment && {
+      sensors: (this.hello?.sensors ?? []).map(({ name }) => entry(name)),
+      bodies: new Map(moment.bodies.map((body): [string, Seen] => [body.name, body])),
+    };
+  }
+
   /** Calls `listener` for each message, after it has been taken in. */
   listen(listener: (message: ServerMessage) => void): void {
     this.listeners.add(listener);
@@ -135,6 +162,7 @@ export class Model {
         this.refused.clear();
         this.keyPoses = [];
         this.body = null;
+        this.moment = null;
         this.truth = null;
         this.faultMap = null;
         this.fieldMap = null;

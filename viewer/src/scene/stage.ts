@@ -98,7 +98,7 @@ export class StageScene {
     const { clientWidth, clientHeight } = this.scene.canvas;
     const { camera } = this.scene;
     let [nearest, name]: [number, string | null] = [NEAR_PX, null];
-    for (const sensor of this.model.sensors?.sensors ?? []) {
+    for (const sensor of this.model.seenSensors ?? []) {
       if (!sensor.position_m) continue;
       vector(sensor.position_m, this.at).project(camera);
       const away = Math.hypot(((this.at.x + 1) / 2) * clientWidth - x, ((1 - this.at.y) / 2) * clientHeight - y);
@@ -118,10 +118,11 @@ export class StageScene {
   /** Draws what has come; the distance that is measured, m. */
   draw(chosen: string | null, measured: readonly [string, string] | null): number | null {
     const { model } = this;
-    if (model.sensors) {
-      this.sensors.update(model.sensors.sensors);
+    const sensors = model.seenSensors;
+    if (sensors) {
+      this.sensors.update(sensors);
       this.transmitter.updateMatrixWorld();
-      this.field.update(model.sensors.sensors, this.toTransmitter.copy(this.transmitter.matrixWorld).invert());
+      this.field.update(sensors, this.toTransmitter.copy(this.transmitter.matrixWorld).invert());
     }
     this.drawBodies(chosen);
     if (model.truth) this.truth.update(model.truth);
@@ -199,9 +200,10 @@ export class StageScene {
   private drawBodies(chosen: string | null): void {
     const { model } = this;
     for (const { name, height_m } of model.hello?.bodies ?? []) {
-      const [body, figure, dark] = [model.bodies.get(name), this.figures.get(name), this.shadows.get(name)];
+      const [body, figure, dark] = [model.seenBody(name), this.figures.get(name), this.shadows.get(name)];
       if (!body || !figure || !dark) continue;
-      figure.choose(body.segments.find(({ sensor }) => chosen !== null && sensor === chosen)?.name ?? null);
+      // Which sensor a segment wears is not in what is looked at.
+      figure.choose((model.bodies.get(name)?.segments ?? []).find(({ sensor }) => chosen !== null && sensor === chosen)?.name ?? null);
       const before = figure.group.visible;
       figure.update(body, height_m);
       dark.visible = true;

@@ -7,7 +7,7 @@ const count = (n: number, one: string, several: string) => `${n} ${n === 1 ? one
 export const de: Text = {
   views: {
     watch: "Ansehen", calibrate: "Kalibrieren", coach: "Anleiten", exercise: "Üben", plan: "Planen & berichten",
-    analyse: "Untersuchen", replay: "Wiedergeben", check: "Prüfen",
+    analyse: "Untersuchen", takes: "Aufnahmen", check: "Prüfen",
   },
   page: {
     views: "Ansichten", person: "Person", language: "Sprache", theme: "Hell oder dunkel",
@@ -25,7 +25,7 @@ export const de: Text = {
   bar: {
     label: "Aufnahme", record: "Aufnehmen", stop: "Stopp", take: "Take", number: "Nr.",
     notRecording: "keine Aufnahme", unnamed: "Stage und Zeit",
-    isReplay: "Dies ist eine Wiedergabe: Aufnehmen lässt sich nur live.",
+    labelReplay: "Wiedergabe", isReplay: (name) => `Wiedergabe von ${name}`, toStage: "Zurück zur laufenden Stage",
     since: (name, mb) => `${name}, ${mb} MB`,
     free: (gb) => `${gb} GB frei`, left: (h) => `reicht für ${h} h`,
     mark: "Marke", markLabel: "Beschriftung der Marke", markPlaceholder: "was hier geschieht", marked: (n, label) => (label === "" ? `Marke ${n}` : `Marke ${n}: ${label}`),
@@ -46,7 +46,7 @@ export const de: Text = {
       screws: "Schraubungen zwischen Schlüsselposen", corrections: "Korrekturen, ab dem Ort, den der Tracker nannte", arrows: "was die Feldkarte tut",
       slice: "ein Schnitt durch sie",
     },
-    legend: "Was die Formen bedeuten",
+    legend: "Was die Formen bedeuten", wall: "Wandansicht, in eigenem Fenster",
     looks: { good: "gut", repaired: "repariert", outside: "außerhalb des kalibrierten Feldes", unreliable: "unzuverlässig" },
     bodyLooks: { ok: "Segment, gemessen", inferred: "Segment, aus den Nachbarn", suspect: "Segment, sein Sensor ist gestört", missing: "Segment, von nichts gezeigt" },
     stands: "Fuß, der steht",
@@ -150,13 +150,38 @@ export const de: Text = {
     labels: "Beschriftung dieses Bildes", labelHead: ["Sensor", "Klasse", "Ursache", "Abstand, mm", "Reparatur"],
     faults: "Fehler, neueste zuerst", faultHead: ["Zuletzt, s", "Sensor", "Ursache", "Male", "Zustand"], lasts: "dauert an", over: "vorbei", noFaults: "Bisher kein Fehler.",
   },
-  replay: {
-    title: "Wiedergabe", live: "Diese Stage läuft.", liveNext: "Eine Aufnahme des Ordners wählen, um sie anzusehen: Die Stage läuft währenddessen weiter.",
-    watch: "Ansehen", watchOf: (name) => `${name} ansehen`, back: "Zurück zur laufenden Stage",
-    time: "Zeit in der Aufnahme, s", at: (t, of) => `${t} von ${of} s`, speed: "Tempo", pause: "Pause", fastest: "so schnell es geht",
-    folder: "Aufnahmen im Ordner", open: "Öffnen", none: "noch keine", noneNext: "In der Leiste unten „Aufnehmen“ drücken: Was aufgenommen ist, steht hier.",
-    compare: "Zwei Aufnahmen vergleichen", with: "mit", by: "nach", later: "die zweite später um", reading: "Lese …", over: "Beide Aufnahmen über der Zeit", first: "erste", second: "zweite",
+  compare: {
+    title: "Zwei Aufnahmen vergleichen", with: "mit", by: "nach", later: "die zweite später um", reading: "Lese …", over: "Beide Aufnahmen über der Zeit", first: "erste", second: "zweite",
     apart: (channel, rms, n) => `${channel}: ${rms} auseinander (quadratisches Mittel über ${n} Zeiten, die beide zeigen).`, never: "Es gibt keine Zeit, die beide zeigen.",
+  },
+  library: {
+    title: "Aufnahmen", bin: "Papierkorb", binOf: (n) => `Papierkorb (${n})`, search: "Suche nach Name, Stage oder Tag", empty: "Papierkorb leeren",
+    emptySure: (n) => `${count(n, "Aufnahme", "Aufnahmen")} endgültig entfernen? Das lässt sich nicht zurücknehmen.`,
+    none: "Noch keine Aufnahme.", noneNext: "In der Leiste unten „Aufnehmen“ drücken: Was aufgenommen ist, steht hier.", noneFound: (asked) => `Keine Aufnahme hat „${asked}“ in Name, Stage oder Datum.`,
+    more: (n) => `${n} weitere: bitte suchen.`, records: (name) => `${name} wird gerade aufgenommen.`,
+    size: (mb) => `${mb} MB`, incomplete: "nicht ordentlich beendet", unreadable: (why) => `Nicht lesbar: ${why}.`, plays: "läuft gerade",
+    counts: {
+      marks: (n) => count(n, "Marke", "Marken"), repetitions: (n) => count(n, "Wiederholung", "Wiederholungen"), segments: (n) => count(n, "Segment", "Segmente"),
+      faults: (n) => count(n, "Fehler", "Fehler"), key_poses: (n) => count(n, "Schlüsselpose", "Schlüsselposen"),
+    },
+    watch: "Ansehen", watchOf: (name) => `${name} ansehen`, open: "Öffnen", download: "Herunterladen", downloadOf: (name) => `${name} herunterladen`,
+    rename: "Umbenennen", renameOf: (name) => `${name} umbenennen`, newName: (name) => `Neuer Name von ${name}`, keep: "Behalten", remove: "Löschen", removeOf: (name) => `${name} in den Papierkorb`, restore: "Zurücklegen",
+    export: "Exportieren", exportOf: (name) => `${name} exportieren`, format: "Format", bones: "Knochen", model: "Modell", frame: "Achsen", frames: { room: "Raum", transmitter: "Sender" },
+    makeFile: "Datei erzeugen", fetch: (file, mb) => `${file} (${mb} MB)`,
+    formats: {
+      csv: "Posen als Tabelle", jsonl: "jede Nachricht", bvh: "Bewegung für Blender, Mixamo und andere", trc: "Marker für OpenSim", glb: "bewegte Figur (glTF)", vrm: "Avatar", vrma: "Bewegung eines Avatars",
+      usda: "Szene (USD)", c3d: "Motion Capture", sto: "Orientierungen für OpenSim", mot: "Gelenkwinkel für OpenSim", mcap: "Aufnahme mit allen Kanälen, für Betrachter",
+    },
+  },
+  wall: { title: "Wand", back: "Wandansicht verlassen", repetitions: "Wiederholungen", sensors: "Sensoren gut", recording: "nimmt auf", right: "rechts", left: "links" },
+  timeline: {
+    title: "Zeitleiste", label: "Zeit in der Aufnahme", at: (t, of) => `${t} von ${of}`,
+    keys: "Die Leertaste spielt und hält an. Pfeile gehen zurück und weiter, mit Umschalt zehnmal so weit; Pos1 und Ende an die Enden. Plus und Minus zoomen, 0 zeigt alles. M springt zur nächsten Marke, Umschalt und M zur vorigen. Eckige Klammern setzen die Schleife, L schaltet sie. Komma und Punkt ändern das Tempo.",
+    play: "Abspielen", pause: "Pause", space: "Leertaste", speed: "Tempo", fastest: "max", loop: "Schleife", loopFrom: "Anfang der Schleife", loopTo: "Ende der Schleife", loopFromHere: "Die Schleife beginnt hier", loopToHere: "Die Schleife endet hier",
+    markBefore: "Vorige Marke", markNext: "Nächste Marke", zoom: "Zoom", wider: "Weiter", closer: "Näher", whole: "Alles",
+    find: "Suchen, was darin geschieht", finding: "wird durchgesehen", thinned: (n) => `${n} davon fehlen hier: Es sind zu viele.`,
+    list: "Liste", listTitle: "Was im gezeigten Teil geschieht", kind: "Was", everything: "alles", nothing: "Nichts in diesem Teil.", more: (n) => `${n} weitere: näher heranzoomen.`, seconds: (s) => `${s} s`,
+    lanes: { marks: "Marken", segments: "Segmente", repetitions: "Wiederholungen", faults: "Fehler", key_poses: "Schlüsselposen" },
   },
   check: {
     problems: "Was zu tun ist", allWell: "Alles arbeitet: Es ist nichts zu tun.", noStatus: "Der Daemon hat noch nichts gemeldet.",
@@ -168,6 +193,9 @@ export const de: Text = {
     disturbed: "Das Feld ist jetzt gestört.",
     devices: "Geräte", deviceHead: ["Gerät", "Treiber", "Anschluss", "Zustand", "Rate, Hz", "Alter, ms", "Uhr ±, ms", "Datensätze", "Verworfen", "Übersprungen"],
     sensors: "Sensoren", sensorHead: ["Sensor", "Zustand", "Rate, Hz", "Alter, ms", "x, m", "y, m", "z, m", "w", "x", "y", "z", "σ, mm", "Messungen", "Verloren"],
+    history: (minutes) => (minutes === 1 ? "Die letzte Minute" : `Die letzten ${minutes} Minuten`), historyOf: (kind, name) => `${kind} von ${name}`,
+    historyHead: { rate_hz: "Rate, Hz", lost: "Verloren, %", noise_m: "Rauschen, mm", clock_sigma_s: "Uhr ±, ms", battery: "Akku, %" },
+    historyHelp: "Neuester Wert, in Klammern der schlechteste. Bewegung zählt zum Rauschen: Das eines ruhenden Sensors ist das des Trackers.",
     latency: "Latenz in der letzten Sekunde", latencyHead: ["Von wo bis wo", "Median, ms", "99 %, ms", "Längste, ms"],
     noDevices: "In der Stage-Datei steht kein Gerät. Eines eintragen und posed neu starten: `posed doctor` zeigt, was angesteckt ist.",
     time: (s) => `Stage-Zeit ${s} s`, messagesDropped: (n) => `, ${n} Nachrichten für diese Seite verworfen`,

@@ -6,7 +6,7 @@ const count = (n: number, one: string, several: string) => `${n} ${n === 1 ? one
 export const en = {
   views: {
     watch: "Watch", calibrate: "Calibrate", coach: "Coach", exercise: "Exercise", plan: "Plan & report",
-    analyse: "Analyse", replay: "Replay", check: "Check",
+    analyse: "Analyse", takes: "Takes", check: "Check",
   },
   page: {
     views: "Views", person: "Person", language: "Language", theme: "Light or dark",
@@ -24,7 +24,7 @@ export const en = {
   bar: {
     label: "Recording", record: "Record", stop: "Stop", take: "Take", number: "No.",
     notRecording: "not recording", unnamed: "stage and time",
-    isReplay: "This is a replay: recordings belong to a live stage.",
+    labelReplay: "Replay", isReplay: (name: string) => `Replay of ${name}`, toStage: "Back to the live stage",
     since: (name: string, mb: string) => `${name}, ${mb} MB`,
     free: (gb: string) => `${gb} GB free`, left: (h: string) => `enough for ${h} h`,
     mark: "Mark", markLabel: "Label of the mark", markPlaceholder: "what happens here", marked: (n: number, label: string) => label === "" ? `mark ${n}` : `mark ${n}: ${label}`,
@@ -45,7 +45,7 @@ export const en = {
       screws: "screws between key poses", corrections: "corrections, from where the tracker said", arrows: "what the map of the field does",
       slice: "a slice through it", 
     },
-    legend: "What the shapes mean",
+    legend: "What the shapes mean", wall: "Wall view, in a window of its own",
     looks: { good: "good", repaired: "repaired", outside: "outside the calibrated field", unreliable: "unreliable" },
     bodyLooks: { ok: "segment, measured", inferred: "segment, from its neighbours", suspect: "segment, its sensor is faulty", missing: "segment, not shown by anything" },
     stands: "foot that stands",
@@ -149,13 +149,38 @@ export const en = {
     labels: "Labels of this frame", labelHead: ["Sensor", "Label", "Cause", "Distance, mm", "Repair"],
     faults: "Faults, newest first", faultHead: ["Last, s", "Sensor", "Cause", "Times", "State"], lasts: "lasts", over: "over", noFaults: "No fault so far.",
   },
-  replay: {
-    title: "Replay", live: "This stage is live.", liveNext: "Choose a recording of the folder to watch it: the stage goes on meanwhile.",
-    watch: "Watch", watchOf: (name: string) => `Watch ${name}`, back: "Back to the live stage",
-    time: "time in the recording, s", at: (t: string, of: string) => `${t} of ${of} s`, speed: "Speed", pause: "pause", fastest: "as fast as it goes",
-    folder: "Recordings in the folder", open: "Open", none: "none yet", noneNext: "Press Record in the bar below: what is recorded is listed here.",
-    compare: "Compare two recordings", with: "with", by: "by", later: "the second later by", reading: "Reading …", over: "Both recordings over time", first: "first", second: "second",
+  compare: {
+    title: "Compare two recordings", with: "with", by: "by", later: "the second later by", reading: "Reading …", over: "Both recordings over time", first: "first", second: "second",
     apart: (channel: string, rms: string, n: number) => `${channel}: ${rms} apart (root mean square over ${n} times that both show).`, never: "There is no time that both show.",
+  },
+  library: {
+    title: "Takes", bin: "Bin", binOf: (n: number) => `Bin (${n})`, search: "Search by name, stage or day", empty: "Empty the bin",
+    emptySure: (n: number) => `Remove ${count(n, "take", "takes")} for good? This cannot be undone.`,
+    none: "No take yet.", noneNext: "Press Record in the bar below: what is recorded is listed here.", noneFound: (asked: string) => `No take has "${asked}" in its name, stage or date.`,
+    more: (n: number) => `${n} more: search for them.`, records: (name: string) => `${name} is being recorded.`,
+    size: (mb: string) => `${mb} MB`, incomplete: "not ended in order", unreadable: (why: string) => `It cannot be read: ${why}.`, plays: "plays now",
+    counts: {
+      marks: (n: number) => count(n, "mark", "marks"), repetitions: (n: number) => count(n, "repetition", "repetitions"), segments: (n: number) => count(n, "segment", "segments"),
+      faults: (n: number) => count(n, "fault", "faults"), key_poses: (n: number) => count(n, "key pose", "key poses"),
+    },
+    watch: "Watch", watchOf: (name: string) => `Watch ${name}`, open: "Open", download: "Download", downloadOf: (name: string) => `Download ${name}`,
+    rename: "Rename", renameOf: (name: string) => `Rename ${name}`, newName: (name: string) => `New name of ${name}`, keep: "Keep", remove: "Delete", removeOf: (name: string) => `Put ${name} into the bin`, restore: "Put back",
+    export: "Export", exportOf: (name: string) => `Export ${name}`, format: "Format", bones: "Bones", model: "Model", frame: "Axes", frames: { room: "room", transmitter: "transmitter" },
+    makeFile: "Make the file", fetch: (file: string, mb: string) => `${file} (${mb} MB)`,
+    formats: {
+      csv: "poses as a table", jsonl: "every message", bvh: "motion for Blender, Mixamo and others", trc: "markers for OpenSim", glb: "animated figure (glTF)", vrm: "avatar", vrma: "animation of an avatar",
+      usda: "scene (USD)", c3d: "motion capture", sto: "orientations for OpenSim", mot: "joint angles for OpenSim", mcap: "recording with all channels, for viewers",
+    },
+  },
+  wall: { title: "Wall", back: "Leave the wall view", repetitions: "Repetitions", sensors: "sensors good", recording: "recording", right: "right", left: "left" },
+  timeline: {
+    title: "Timeline", label: "Time in the recording", at: (t: string, of: string) => `${t} of ${of}`,
+    keys: "Space plays and pauses. Arrows go back and on, with Shift ten times as far; Home and End to the ends. Plus and minus zoom, 0 shows all. M goes to the next mark, Shift and M to the one before. Square brackets set the loop, L switches it. Comma and full stop change the speed.",
+    play: "Play", pause: "Pause", space: "Space", speed: "Speed", fastest: "max", loop: "Loop", loopFrom: "Beginning of the loop", loopTo: "End of the loop", loopFromHere: "The loop begins here", loopToHere: "The loop ends here",
+    markBefore: "Mark before", markNext: "Next mark", zoom: "Zoom", wider: "Wider", closer: "Closer", whole: "All",
+    find: "Find what happens in it", finding: "looking through it", thinned: (n: string) => `${n} of these are left out: there are too many to list.`,
+    list: "List", listTitle: "What happens in what is shown", kind: "What", everything: "everything", nothing: "Nothing in this part.", more: (n: number) => `${n} more: zoom in.`, seconds: (s: string) => `${s} s`,
+    lanes: { marks: "marks", segments: "segments", repetitions: "repetitions", faults: "faults", key_poses: "key poses" },
   },
   check: {
     problems: "What to do", allWell: "Everything works: nothing has to be done.", noStatus: "The daemon has reported nothing yet.",
@@ -167,6 +192,9 @@ export const en = {
     disturbed: "The field is disturbed now.",
     devices: "Devices", deviceHead: ["Device", "Driver", "Port", "State", "Rate, Hz", "Age, ms", "Clock ±, ms", "Records", "Rejected", "Skipped"],
     sensors: "Sensors", sensorHead: ["Sensor", "State", "Rate, Hz", "Age, ms", "x, m", "y, m", "z, m", "w", "x", "y", "z", "σ, mm", "Samples", "Lost"],
+    history: (minutes: number) => `The last ${minutes === 1 ? "minute" : `${minutes} minutes`}`, historyOf: (kind: string, name: string) => `${kind} of ${name}`,
+    historyHead: { rate_hz: "Rate, Hz", lost: "Lost, %", noise_m: "Noise, mm", clock_sigma_s: "Clock ±, ms", battery: "Battery, %" },
+    historyHelp: "Newest value, and in brackets the worst. Motion adds to the noise: that of a sensor at rest is the tracker's own.",
     latency: "Latency since the last second", latencyHead: ["From where to where", "Median, ms", "99 %, ms", "Longest, ms"],
     noDevices: "No device is in the stage file. Add one, then restart posed: `posed doctor` lists what is plugged in.",
     time: (s: string) => `stage time ${s} s`, messagesDropped: (n: number) => `, ${n} messages dropped for this page`,
