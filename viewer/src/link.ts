@@ -23,7 +23,7 @@ export class Refused extends Error {
 }
 
 /** The websocket beside the page: a hub serves the page of each stage below its name. */
-export function websocketOf(page: Location): string {
+export function websocketOf(page: Pick<Location, "href" | "protocol">): string {
   const address = new URL("ws", page.href);
   address.protocol = page.protocol === "https:" ? "wss:" : "ws:";
   address.search = "";

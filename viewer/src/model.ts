@@ -1,7 +1,7 @@
 // What the daemon has said: the newest state of each topic, a short history for curves and trails, the last events.
 // Bounded: it never grows over hours.
 
-import type { Change, ExerciseEventMessage, FaultEvent, FaultMap, FieldEventMessage, FigureMessage, Hello, HelloBody, JobsMessage, KeyPoseMessage, Look, MotionSegmentMessage, Pose, ScrewMotion, SegmentEntry, SensorEntry, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage, Vec3 } from "./protocol";
+import type { Change, ExerciseEventMessage, FaultEvent, FaultMap, FieldEventMessage, FigureMessage, Hello, HelloBody, JobsMessage, KeyPoseMessage, Look, LookBody, MotionSegmentMessage, Pose, ScrewMotion, SegmentEntry, SensorEntry, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage, Vec3 } from "./protocol";
 import { Rows } from "./rows";
 
 /** Seconds of history for curves. */
@@ -63,6 +63,8 @@ export class Model {
   person: string | null = null;
   /** What somebody looks at in a recording in the place of what plays: sensors and bodies by name; null: nobody does. */
   private moment: { sensors: SensorEntry[]; bodies: Map<string, Seen> } | null = null;
+  /** Bodies of another recording, over those of this one. */
+  beside: readonly LookBody[] = [];
   truth: TruthsMessage | null = null;
   status: StatusMessage | null = null;
   jobs: JobsMessage | null = null;
@@ -139,6 +141,12 @@ export class Model {
       sensors: (this.hello?.sensors ?? []).map(({ name }) => entry(name)),
       bodies: new Map(moment.bodies.map((body): [string, Seen] => [body.name, body])),
     };
+  }
+
+  /** Shows the bodies of another recording beside; null: none. */
+  lookBeside(moment: Look | null): void {
+    this.version++;
+    this.beside = moment?.bodies ?? [];
   }
 
   /** Calls `listener` for each message, after it has been taken in. */

@@ -42,6 +42,8 @@ export class StageScene {
   private readonly transmitter = transmitter();
   private readonly ghosts = new Afterimages();
   private readonly marking = new Marking();
+  /** People of another recording. */
+  private readonly others: BodyFigure[] = [];
   private readonly toTransmitter = new THREE.Matrix4();
   private readonly hips = new THREE.Vector3();
   private readonly at = new THREE.Vector3();
@@ -125,6 +127,7 @@ export class StageScene {
       this.field.update(sensors, this.toTransmitter.copy(this.transmitter.matrixWorld).invert());
     }
     this.drawBodies(chosen);
+    this.drawOthers();
     if (model.truth) this.truth.update(model.truth);
     const ends = measured?.map((name) => this.place(name, new THREE.Vector3()));
     const distance_m = this.marking.measure(ends?.[0] && ends[1] ? [ends[0], ends[1]] : null);
@@ -214,6 +217,20 @@ export class StageScene {
       if (this.follows && before) this.scene.shift(this.at.subVectors(figure.hips, this.hips).setZ(0));
       this.hips.copy(figure.hips);
     }
+  }
+
+  private drawOthers(): void {
+    const { beside, looked } = this.model;
+    while (this.others.length < beside.length) {
+      const figure = new BodyFigure("ghost");
+      this.others.push(figure);
+      this.scene.scene.add(figure.group);
+    }
+    this.others.forEach((figure, i) => {
+      const body = beside[i];
+      if (body) figure.update(body, looked?.height_m ?? null);
+      else figure.group.visible = false;
+    });
   }
 
   /** Where a sensor is, or the segment that it sits on. */

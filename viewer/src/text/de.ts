@@ -165,7 +165,7 @@ export const de: Text = {
       faults: (n) => count(n, "Fehler", "Fehler"), key_poses: (n) => count(n, "Schlüsselpose", "Schlüsselposen"),
     },
     watch: "Ansehen", watchOf: (name) => `${name} ansehen`, open: "Öffnen", download: "Herunterladen", downloadOf: (name) => `${name} herunterladen`,
-    rename: "Umbenennen", renameOf: (name) => `${name} umbenennen`, newName: (name) => `Neuer Name von ${name}`, keep: "Behalten", remove: "Löschen", removeOf: (name) => `${name} in den Papierkorb`, restore: "Zurücklegen",
+    rename: "Umbenennen", renameOf: (name) => `${name} umbenennen`, newName: (name) => `Neuer Name von ${name}`, keep: "Behalten", remove: "Löschen", removeOf: (name) => `${name} löschen: in den Papierkorb`, restore: "Zurücklegen",
     export: "Exportieren", exportOf: (name) => `${name} exportieren`, format: "Format", bones: "Knochen", model: "Modell", frame: "Achsen", frames: { room: "Raum", transmitter: "Sender" },
     makeFile: "Datei erzeugen", fetch: (file, mb) => `${file} (${mb} MB)`,
     formats: {
@@ -181,6 +181,7 @@ export const de: Text = {
     markBefore: "Vorige Marke", markNext: "Nächste Marke", zoom: "Zoom", wider: "Weiter", closer: "Näher", whole: "Alles",
     find: "Suchen, was darin geschieht", finding: "wird durchgesehen", thinned: (n) => `${n} davon fehlen hier: Es sind zu viele.`,
     list: "Liste", listTitle: "Was im gezeigten Teil geschieht", kind: "Was", everything: "alles", nothing: "Nichts in diesem Teil.", more: (n) => `${n} weitere: näher heranzoomen.`, seconds: (s) => `${s} s`,
+    beside: "Darüber", nobody: "keine andere", later: "später um",
     lanes: { marks: "Marken", segments: "Segmente", repetitions: "Wiederholungen", faults: "Fehler", key_poses: "Schlüsselposen" },
   },
   check: {

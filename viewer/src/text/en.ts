@@ -164,7 +164,7 @@ export const en = {
       faults: (n: number) => count(n, "fault", "faults"), key_poses: (n: number) => count(n, "key pose", "key poses"),
     },
     watch: "Watch", watchOf: (name: string) => `Watch ${name}`, open: "Open", download: "Download", downloadOf: (name: string) => `Download ${name}`,
-    rename: "Rename", renameOf: (name: string) => `Rename ${name}`, newName: (name: string) => `New name of ${name}`, keep: "Keep", remove: "Delete", removeOf: (name: string) => `Put ${name} into the bin`, restore: "Put back",
+    rename: "Rename", renameOf: (name: string) => `Rename ${name}`, newName: (name: string) => `New name of ${name}`, keep: "Keep", remove: "Delete", removeOf: (name: string) => `Delete ${name}: into the bin`, restore: "Put back",
     export: "Export", exportOf: (name: string) => `Export ${name}`, format: "Format", bones: "Bones", model: "Model", frame: "Axes", frames: { room: "room", transmitter: "transmitter" },
     makeFile: "Make the file", fetch: (file: string, mb: string) => `${file} (${mb} MB)`,
     formats: {
@@ -180,6 +180,7 @@ export const en = {
     markBefore: "Mark before", markNext: "Next mark", zoom: "Zoom", wider: "Wider", closer: "Closer", whole: "All",
     find: "Find what happens in it", finding: "looking through it", thinned: (n: string) => `${n} of these are left out: there are too many to list.`,
     list: "List", listTitle: "What happens in what is shown", kind: "What", everything: "everything", nothing: "Nothing in this part.", more: (n: number) => `${n} more: zoom in.`, seconds: (s: string) => `${s} s`,
+    beside: "Over it", nobody: "no other take", later: "later by",
     lanes: { marks: "marks", segments: "segments", repetitions: "repetitions", faults: "faults", key_poses: "key poses" },
   },
   check: {
