@@ -42,7 +42,7 @@ struct Args {
 const PROBE: &str = include_str!("probe.js");
 
 /// The views, by the word in the address.
-const VIEWS: [&str; 6] = ["watch", "coach", "check", "calibrate", "analyse", "replay"];
+const VIEWS: [&str; 6] = ["watch", "coach", "check", "calibrate", "analyse", "takes"];
 
 #[tokio::main]
 async fn main() {

@@ -8,7 +8,7 @@ use crate::daemon::process::Posed;
 
 /// The views, in the order of their tabs.
 pub(super) const VIEWS: [&str; 8] =
-    ["watch", "calibrate", "coach", "exercise", "plan", "analyse", "replay", "check"];
+    ["watch", "calibrate", "coach", "exercise", "plan", "analyse", "takes", "check"];
 
 /// Presses the button of a sensor in the rail.
 async fn press(browser: &mut Browser, sensor: &str) {
@@ -121,8 +121,18 @@ async fn language_and_light_are_chosen_and_stay() {
     done(browser, posed).await;
 }
 
+/// Puts axe into the page, once it is open.
+pub(super) async fn load_axe(browser: &mut Browser) {
+    let axe = concat!(env!("CARGO_MANIFEST_DIR"), "/viewer/node_modules/axe-core/axe.min.js");
+    let axe = std::fs::read_to_string(axe).expect("the page's build has installed it");
+    browser.value(&axe).await;
+    // Colours that are still changing are none.
+    let still = json!({"features": [{"name": "prefers-reduced-motion", "value": "reduce"}]});
+    browser.call("Emulation.setEmulatedMedia", still).await;
+}
+
 /// What axe finds on the page as it is, each with where.
-async fn barriers(browser: &mut Browser) -> Vec<String> {
+pub(super) async fn barriers(browser: &mut Browser) -> Vec<String> {
     let run = "window.found = undefined; axe.run(document, { resultTypes: ['violations'] }).then(({ violations }) => { \
         window.found = violations.map(({ id, nodes }) => `${id}: ${nodes.map(({ target }) => target.join(' ')).join(', ')}`); })";
     browser.value(run).await;
@@ -135,15 +145,10 @@ async fn no_view_has_a_barrier_in_light_or_dark() {
     if !chromium::is_wanted() {
         return;
     }
-    let axe = concat!(env!("CARGO_MANIFEST_DIR"), "/viewer/node_modules/axe-core/axe.min.js");
-    let axe = std::fs::read_to_string(axe).expect("the page's build has installed it");
     let posed = Posed::start(["demo"]);
     let mut browser = Browser::open(&format!("http://{}/", posed.address)).await;
     browser.until(LIVE).await;
-    browser.value(&axe).await;
-    // Colours that are still changing are none.
-    let still = json!({"features": [{"name": "prefers-reduced-motion", "value": "reduce"}]});
-    browser.call("Emulation.setEmulatedMedia", still).await;
+    load_axe(&mut browser).await;
     assert_eq!(browser.value("typeof axe.run").await, Value::from("function"));
     for theme in ["dark", "light"] {
         browser.fill("#theme", theme).await;

@@ -7,6 +7,9 @@ pub(crate) mod calibration;
 mod console;
 mod people;
 mod report;
+mod screens;
+mod takes;
+mod timeline;
 mod trainer;
 
 use std::time::Duration;
@@ -176,11 +179,11 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     browser.click("tab-calibrate").await;
     browser.picture("calibrate").await;
     // It is watched while the stage goes on, and back again.
-    browser.click("tab-replay").await;
-    browser.until("document.querySelector('#recordings .watch') !== null").await;
-    browser.value("document.querySelector('#recordings .watch').click()").await;
+    browser.click("tab-takes").await;
+    browser.until("document.querySelector('#takes-list .watch') !== null").await;
+    browser.value("document.querySelector('#takes-list .watch').click()").await;
     browser.until("location.pathname === '/takes/curls-01.mcap/'").await;
-    browser.until("document.getElementById('scrub')?.max > 0").await;
+    browser.until("document.getElementById('timeline')?.ariaValueMax > 0").await;
     browser.until("document.getElementById('to-stage') !== null").await;
     browser.click("to-stage").await;
     browser.until("location.pathname === '/'").await;
@@ -189,26 +192,19 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
 
     let recording = folder.path().join("recordings/curls-01.mcap");
     let replay = Posed::start(["replay", recording.to_str().unwrap()]);
-    let mut browser = Browser::open(&format!("http://{}/#replay", replay.address)).await;
-    browser.until("document.getElementById('recordings').textContent.includes('curls-01.mcap')").await;
-    browser.until("document.getElementById('scrub') !== null").await;
-    // To the beginning by hand, after it has ended by itself.
-    let speed = |words: &str| {
-        format!(
-            "[...document.querySelectorAll('#replay button')].find((b) => b.textContent === '{words}').click()"
-        )
-    };
-    browser.value(&speed("as fast as it goes")).await;
+    let mut browser = Browser::open(&format!("http://{}/#takes", replay.address)).await;
+    browser.until("document.querySelector('#takes-list [data-name=\"curls-01.mcap\"]') !== null").await;
+    browser.until("document.getElementById('timeline') !== null").await;
+    timeline::press_speed(&mut browser, "max").await;
     browser.until("document.getElementById('link').textContent === 'the recording ends here'").await;
-    let seek = "const scrub = document.getElementById('scrub'); scrub.value = scrub.min; \
-        scrub.dispatchEvent(new Event('change', { bubbles: true }));";
-    browser.value(&speed("pause")).await;
-    browser.value(seek).await;
-    browser.until("document.getElementById('link').textContent === 'paused'").await;
-    // So slow that also a busy machine sees it before it ends again.
-    browser.value(&speed("¼ ×")).await;
+    // Whoever chooses a speed at its end sees it again, so slowly that also a busy machine sees it before it ends.
+    timeline::press_speed(&mut browser, "0.25 ×").await;
     browser.until("document.getElementById('link').textContent === 'live'").await;
     browser.picture("replay").await;
+    browser.click("play").await;
+    browser.until("document.getElementById('link').textContent === 'paused'").await;
+    // Halted is not old.
+    browser.until("!document.body.classList.contains('stale')").await;
     // The recording and a copy of it lie on one another, unless one is shifted.
     browser.until("document.getElementById('compare-channel').options.length > 6").await;
     browser.fill("#compare-channel", "of two_x_m").await;

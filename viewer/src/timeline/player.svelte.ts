@@ -9,6 +9,8 @@ export const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4, "max"] as const;
 export type Speed = (typeof SPEEDS)[number];
 /** Who is closer than this to where they were sent has come from there, s. */
 const THERE_S = 1;
+/** After the last key the pipeline is sent there, ms. */
+const SETTLE_MS = 250;
 /** A shorter loop is a press that slipped, s. */
 const LEAST_LOOP_S = 0.2;
 
@@ -22,6 +24,7 @@ class Player {
   private before: Speed = 1;
   /** The job of a jump that has not arrived; NaN before its number is known, null: none. */
   private jump = $state.raw<{ job: number; to_s: number; arrived: boolean } | null>(null);
+  private settle = 0;
   private readonly looks = new Looks((t_s) => link.request({ type: "replay.look", t_s }), (look) => model.look(look));
 
   constructor() {
@@ -73,12 +76,20 @@ class Player {
 
   /** The hand is at a time: the picture follows. */
   scrub(t_s: number): void {
+    clearTimeout(this.settle);
     this.hand_s = t_s;
     this.looks.want(t_s);
   }
 
+  /** As by a hand that is taken off soon: for keys, which come many at a time. */
+  nudge(t_s: number, then: (t_s: number) => void): void {
+    this.scrub(t_s);
+    this.settle = window.setTimeout(() => then(t_s), SETTLE_MS);
+  }
+
   /** Plays on from a time; what was looked at stays until the pipeline has got there. */
   async seek(t_s: number): Promise<void> {
+    clearTimeout(this.settle);
     this.hand_s = null;
     const jump = { job: NaN, to_s: t_s, arrived: false };
     this.jump = jump;
