@@ -16,6 +16,7 @@ async fn the_wall_shows_large_numbers_and_nothing_to_press() {
     let mut browser = Browser::open(&format!("http://{}/#wall", posed.address)).await;
     browser.until("/[0-9]+\\s*\\/\\s*13/.test(document.getElementById('wall')?.textContent)").await;
     browser.until(&PAINTED.replace("#watch", "#wall")).await;
+    browser.picture("wall").await;
     let seen = "[...document.querySelectorAll('button, input, select, a')].filter((each) => each.checkVisibility({ opacityProperty: true })).length";
     assert_eq!(browser.value(seen).await, 0);
     let large = "Math.min(...[...document.querySelectorAll('#wall .large')].map((each) => parseFloat(getComputedStyle(each).fontSize)))";

@@ -58,6 +58,7 @@ async fn a_take_is_found_named_exported_binned_and_brought_back() {
     // What happened in it, and a picture of where sensors went.
     browser.until("document.getElementById('takes-list').textContent.includes('1 mark')").await;
     browser.until("document.querySelector('#takes-list polyline') !== null").await;
+    browser.picture("takes").await;
     browser.fill("#library-search", "squats").await;
     browser.until(&format!("{LISTED} === ''")).await;
     browser.fill("#library-search", "TAKE").await;

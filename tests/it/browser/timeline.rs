@@ -92,6 +92,8 @@ async fn a_take_is_played_scrubbed_and_looped_on_its_timeline() {
     browser.until(jumped).await;
     assert!((stands_s(&mut browser).await - 0.75 * longest).abs() < 0.3);
 
+    browser.picture("timeline").await;
+
     // Closer, and all of it again.
     press(&mut browser, "+").await;
     browser.until("!document.getElementById('zoom-all').disabled").await;

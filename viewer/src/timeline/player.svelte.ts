@@ -33,7 +33,7 @@ class Player {
       if (message.type === "hello") {
         // Another recording, or the same over a new connection.
         this.jump = this.hand_s = this.loop = null;
-        this.looks.stop();
+        this.looks.forget();
       }
       // One that ends the recording is not passed by any frame.
       if (message.type === "status" && message.replay?.ended != null) this.again(Math.max(message.replay.t_s, this.loop?.to_s ?? 0));
