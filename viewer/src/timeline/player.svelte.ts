@@ -64,6 +64,11 @@ class Player {
     return speed === null || speed === undefined ? "max" : (SPEEDS.find((each) => each === speed) ?? (speed === 0 ? 0 : 1));
   }
 
+  /** Whether the picture shows a moment that is looked at, whatever the pipeline does. */
+  get scrubs(): boolean {
+    return this.hand_s !== null || this.jump !== null;
+  }
+
   /** Where it stands, as exactly as is known now, s. */
   now_s(): number {
     const { replay, hand_s, jump } = this;
