@@ -92,6 +92,16 @@ async fn a_take_is_played_scrubbed_and_looped_on_its_timeline() {
     browser.until(jumped).await;
     assert!((stands_s(&mut browser).await - 0.75 * longest).abs() < 0.3);
 
+    // What somebody says of a part has a lane of its own; of the loop, once there is one.
+    press(&mut browser, "[").await;
+    browser.click("label-open").await;
+    browser.fill("#label", "squats with a pause").await;
+    browser.click("label-save").await;
+    browser
+        .until("[...document.querySelectorAll('.names li')].some((lane) => lane.textContent === 'labels')")
+        .await;
+    assert_eq!(barriers(&mut browser).await, Vec::<String>::new());
+    press(&mut browser, "Escape").await;
     browser.picture("timeline").await;
 
     // Closer, and all of it again.
@@ -100,8 +110,10 @@ async fn a_take_is_played_scrubbed_and_looped_on_its_timeline() {
     press(&mut browser, "0").await;
     browser.until("document.getElementById('zoom-all').disabled").await;
 
-    // A loop from its beginning to the mark: it never passes its end.
+    // A loop from the beginning to here: it never passes its end.
     press(&mut browser, "]").await;
+    press(&mut browser, "Home").await;
+    press(&mut browser, "[").await;
     let ends = "[...document.querySelectorAll('.handle')].map((handle) => Number(handle.ariaValueNow))";
     browser.until(&format!("{ends}.length === 2")).await;
     let [_, end_s]: [f64; 2] = serde_json::from_value(browser.value(ends).await).unwrap();

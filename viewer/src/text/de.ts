@@ -181,8 +181,10 @@ export const de: Text = {
     markBefore: "Vorige Marke", markNext: "Nächste Marke", zoom: "Zoom", wider: "Weiter", closer: "Näher", whole: "Alles",
     find: "Suchen, was darin geschieht", finding: "wird durchgesehen", thinned: (n) => `${n} davon fehlen hier: Es sind zu viele.`,
     list: "Liste", listTitle: "Was im gezeigten Teil geschieht", kind: "Was", everything: "alles", nothing: "Nichts in diesem Teil.", more: (n) => `${n} weitere: näher heranzoomen.`, seconds: (s) => `${s} s`,
+    correct: "Beschriften", labelTitle: "Was es zeigt", labelSpan: (from, to) => `Von ${from} bis ${to} s`, labelWord: "Beschriftung", labelSave: "Speichern", labelBack: "Zurücknehmen",
+    labelHelp: "Für die Schleife; ohne eine für das Segment am Zeiger. Doppelt auf ein Segment drücken legt die Schleife darum. Was hier steht, davon lernen Netze.", labelNone: "Die Schleife darum legen oder zu einem Segment gehen.",
     beside: "Darüber", nobody: "keine andere", later: "später um",
-    lanes: { marks: "Marken", segments: "Segmente", repetitions: "Wiederholungen", faults: "Fehler", key_poses: "Schlüsselposen" },
+    lanes: { marks: "Marken", labels: "Beschriftungen", segments: "Segmente", repetitions: "Wiederholungen", faults: "Fehler", key_poses: "Schlüsselposen" },
   },
   check: {
     problems: "Was zu tun ist", allWell: "Alles arbeitet: Es ist nichts zu tun.", noStatus: "Der Daemon hat noch nichts gemeldet.",

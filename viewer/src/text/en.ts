@@ -180,8 +180,10 @@ export const en = {
     markBefore: "Mark before", markNext: "Next mark", zoom: "Zoom", wider: "Wider", closer: "Closer", whole: "All",
     find: "Find what happens in it", finding: "looking through it", thinned: (n: string) => `${n} of these are left out: there are too many to list.`,
     list: "List", listTitle: "What happens in what is shown", kind: "What", everything: "everything", nothing: "Nothing in this part.", more: (n: number) => `${n} more: zoom in.`, seconds: (s: string) => `${s} s`,
+    correct: "Label", labelTitle: "What it shows", labelSpan: (from: string, to: string) => `From ${from} to ${to} s`, labelWord: "Label", labelSave: "Save", labelBack: "Take back",
+    labelHelp: "Of the loop; without one, of the segment at the cursor. A double press on a segment puts the loop around it. What is said here is what networks learn from.", labelNone: "Set the loop around it, or go to a segment.",
     beside: "Over it", nobody: "no other take", later: "later by",
-    lanes: { marks: "marks", segments: "segments", repetitions: "repetitions", faults: "faults", key_poses: "key poses" },
+    lanes: { marks: "marks", labels: "labels", segments: "segments", repetitions: "repetitions", faults: "faults", key_poses: "key poses" },
   },
   check: {
     problems: "What to do", allWell: "Everything works: nothing has to be done.", noStatus: "The daemon has reported nothing yet.",

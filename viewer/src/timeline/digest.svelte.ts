@@ -1,13 +1,15 @@
 // What happens in the recording that is played.
 
 import { link, live, model } from "../page.svelte";
-import type { Digest } from "../protocol";
+import type { Digest, LabelSpan } from "../protocol";
 import { type Item, type Lane, lanesOf } from "./lanes";
 
 class Happenings {
   digest = $state.raw<Digest | null>(null);
   /** Nobody has looked yet what happens in it. */
   unknown = $state(false);
+  /** What somebody has said that it shows. */
+  labels = $state.raw<LabelSpan[]>([]);
   lanes = $state.raw<Lane[]>([]);
   private name: string | null = null;
   private job = NaN;
@@ -32,6 +34,14 @@ class Happenings {
     return this.ask(true);
   }
 
+  /** Says what it shows for a while; nothing: nothing is said of it any more. */
+  async say(from_s: number, to_s: number, label: string): Promise<void> {
+    const { name } = this;
+    if (name === null) return;
+    const { labels } = await link.request({ type: "replay.label", name, from_s, to_s, label });
+    if (name === this.name) this.hear(labels);
+  }
+
   /** The job that finds it out; null where none runs. */
   get making() {
     return live.jobs?.jobs.find(({ kind, state }) => kind === "library.digest" && state === "running") ?? null;
@@ -51,14 +61,22 @@ class Happenings {
     const answer = await link.request(make ? { type: "library.digest", name, make } : { type: "library.digest", name });
     if (name !== this.name) return;
     if ("job" in answer) this.job = answer.job;
-    else if ("digest" in answer) this.set(answer.digest);
-    else this.unknown = true;
+    else if ("digest" in answer) {
+      this.set(answer.digest);
+      const { labels } = await link.request({ type: "replay.labels", name });
+      if (name === this.name) this.hear(labels);
+    } else this.unknown = true;
   }
 
   private set(digest: Digest | null): void {
     this.digest = digest;
     this.unknown = false;
-    this.lanes = digest ? lanesOf(digest) : [];
+    this.hear([]);
+  }
+
+  private hear(labels: LabelSpan[]): void {
+    this.labels = labels;
+    this.lanes = this.digest ? lanesOf(this.digest, labels) : [];
   }
 }
 

@@ -16,6 +16,7 @@ export type Colours = Record<"ink" | "quiet" | "line" | "surface" | "accent" | "
 
 const colourOf: Record<LaneName, (colours: Colours, kind: number) => string> = {
   marks: ({ accent }) => accent,
+  labels: ({ kinds }, kind) => kinds[kind % kinds.length]!,
   segments: ({ kinds }, kind) => kinds[kind % kinds.length]!,
   repetitions: ({ good, edge }, kind) => (kind === 0 ? good : edge),
   faults: ({ bad }) => bad,

@@ -1,10 +1,10 @@
 // What happens in a recording, by lanes, each in order of time; and what of a lane is seen.
 
 import { spoken } from "../format";
-import type { Digest } from "../protocol";
+import type { Digest, LabelSpan } from "../protocol";
 import type { Window } from "./window";
 
-export const LANES = ["marks", "segments", "repetitions", "faults", "key_poses"] as const;
+export const LANES = ["marks", "labels", "segments", "repetitions", "faults", "key_poses"] as const;
 export type LaneName = (typeof LANES)[number];
 
 /** Something that happened; a moment ends when it begins. `kind` tells what is alike, for its colour. */
@@ -13,11 +13,13 @@ export type Item = { lane: LaneName; from_s: number; to_s: number; says: string;
 export type Lane = { name: LaneName; items: Item[]; longest_s: number };
 
 /** Lanes with something in them, in their order. */
-export function lanesOf(digest: Digest): Lane[] {
+export function lanesOf(digest: Digest, labels: readonly LabelSpan[]): Lane[] {
   const kinds: string[] = [];
   const kind = (label: string) => (kinds.includes(label) ? kinds.indexOf(label) : kinds.push(label) - 1);
   const all: Record<LaneName, Item[]> = {
     marks: digest.marks.map(({ t_s, label }) => ({ lane: "marks", from_s: t_s, to_s: t_s, says: label, kind: 0 })),
+    // What somebody said and what a network names the same has the same colour.
+    labels: labels.map(({ label, from_s, to_s }) => ({ lane: "labels", from_s, to_s, says: label, kind: kind(label) })),
     segments: digest.segments.map(({ label, from_s, to_s }) => ({ lane: "segments", from_s, to_s, says: label, kind: kind(label) })),
     repetitions: digest.repetitions.map(({ exercise, from_s, t_s, counted }) => ({ lane: "repetitions", from_s, to_s: t_s, says: exercise, kind: counted ? 0 : 1 })),
     faults: digest.faults.map(({ sensor, fault, from_s, to_s }) => ({ lane: "faults", from_s, to_s, says: `${sensor}: ${spoken(fault)}`, kind: 0 })),
