@@ -53,7 +53,7 @@ async fn a_take_is_played_scrubbed_and_looped_on_its_timeline() {
     browser.until("document.getElementById('items').textContent.includes('pain here')").await;
     load_axe(&mut browser).await;
     assert_eq!(barriers(&mut browser).await, Vec::<String>::new());
-    press(&mut browser, "Escape").await;
+    browser.value("document.getElementById('items-list').hidePopover()").await;
     // So slow that it does not end meanwhile; had it ended, it begins anew.
     press_speed(&mut browser, "0.1 ×").await;
     browser.until("document.getElementById('link').textContent === 'live'").await;
@@ -101,7 +101,10 @@ async fn a_take_is_played_scrubbed_and_looped_on_its_timeline() {
         .until("[...document.querySelectorAll('.names li')].some((lane) => lane.textContent === 'labels')")
         .await;
     assert_eq!(barriers(&mut browser).await, Vec::<String>::new());
-    press(&mut browser, "Escape").await;
+    browser.value("document.getElementById('label-form').hidePopover()").await;
+    browser.click("items-open").await;
+    browser.until("document.getElementById('items').textContent.includes('squats with a pause')").await;
+    browser.value("document.getElementById('items-list').hidePopover()").await;
     browser.picture("timeline").await;
 
     // Closer, and all of it again.
