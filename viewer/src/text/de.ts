@@ -178,7 +178,7 @@ export const de: Text = {
     title: "Zeitleiste", label: "Zeit in der Aufnahme", at: (t, of) => `${t} von ${of}`,
     keys: "Die Leertaste spielt und hält an. Pfeile gehen zurück und weiter, mit Umschalt zehnmal so weit; Pos1 und Ende an die Enden. Plus und Minus zoomen, 0 zeigt alles. M springt zur nächsten Marke, Umschalt und M zur vorigen. Eckige Klammern setzen die Schleife, L schaltet sie. Komma und Punkt ändern das Tempo.",
     play: "Abspielen", pause: "Pause", space: "Leertaste", speed: "Tempo", fastest: "max", loop: "Schleife", loopFrom: "Anfang der Schleife", loopTo: "Ende der Schleife", loopFromHere: "Die Schleife beginnt hier", loopToHere: "Die Schleife endet hier",
-    markBefore: "Vorige Marke", markNext: "Nächste Marke", zoom: "Zoom", wider: "Weiter", closer: "Näher", whole: "Alles",
+    markBefore: "Vorige Marke", markNext: "Nächste Marke", zoom: "Zoom", wider: "Weiter", closer: "Näher", whole: "Alles zeigen",
     find: "Suchen, was darin geschieht", finding: "wird durchgesehen", thinned: (n) => `${n} davon fehlen hier: Es sind zu viele.`,
     list: "Liste", listTitle: "Was im gezeigten Teil geschieht", kind: "Was", everything: "alles", nothing: "Nichts in diesem Teil.", more: (n) => `${n} weitere: näher heranzoomen.`, seconds: (s) => `${s} s`,
     correct: "Beschriften", labelTitle: "Was es zeigt", labelSpan: (from, to) => `Von ${from} bis ${to} s`, labelWord: "Beschriftung", labelSave: "Speichern", labelBack: "Zurücknehmen",

@@ -177,7 +177,7 @@ export const en = {
     title: "Timeline", label: "Time in the recording", at: (t: string, of: string) => `${t} of ${of}`,
     keys: "Space plays and pauses. Arrows go back and on, with Shift ten times as far; Home and End to the ends. Plus and minus zoom, 0 shows all. M goes to the next mark, Shift and M to the one before. Square brackets set the loop, L switches it. Comma and full stop change the speed.",
     play: "Play", pause: "Pause", space: "Space", speed: "Speed", fastest: "max", loop: "Loop", loopFrom: "Beginning of the loop", loopTo: "End of the loop", loopFromHere: "The loop begins here", loopToHere: "The loop ends here",
-    markBefore: "Mark before", markNext: "Next mark", zoom: "Zoom", wider: "Wider", closer: "Closer", whole: "All",
+    markBefore: "Mark before", markNext: "Next mark", zoom: "Zoom", wider: "Wider", closer: "Closer", whole: "Show all",
     find: "Find what happens in it", finding: "looking through it", thinned: (n: string) => `${n} of these are left out: there are too many to list.`,
     list: "List", listTitle: "What happens in what is shown", kind: "What", everything: "everything", nothing: "Nothing in this part.", more: (n: number) => `${n} more: zoom in.`, seconds: (s: string) => `${s} s`,
     correct: "Label", labelTitle: "What it shows", labelSpan: (from: string, to: string) => `From ${from} to ${to} s`, labelWord: "Label", labelSave: "Save", labelBack: "Take back",
