@@ -1,7 +1,10 @@
 // The recordings of the folder, and those in the bin.
 
-import { link, live, model } from "../page.svelte";
+import { link, model } from "../page.svelte";
 import type { LibraryTake } from "../protocol";
+
+/** Jobs that change what the folder has. */
+const KINDS = ["record.start", "library.digest"];
 
 class Library {
   takes = $state.raw<LibraryTake[]>([]);
@@ -9,18 +12,15 @@ class Library {
   recording = $state<string | null>(null);
   /** Asked once at least. */
   known = $state(false);
-  private running = new Set<number>();
+  private running = "";
 
   constructor() {
     model.listen((message) => {
-      if (!this.known) return;
-      // What a job has made or ended is new in the folder.
-      if (message.type === "jobs") {
-        const running = new Set(message.jobs.filter(({ state, kind }) => state === "running" && (kind === "record.start" || kind === "library.digest")).map(({ job }) => job));
-        if ([...this.running].some((job) => !running.has(job))) this.refresh().catch(() => {});
-        this.running = running;
-      }
-      if (message.type === "status" && (message.recording?.name ?? null) !== (live.status?.recording?.name ?? null)) this.refresh().catch(() => {});
+      if (!this.known || message.type !== "jobs") return;
+      // What is being recorded or looked through, and what has come of it, is new in the folder.
+      const running = message.jobs.filter(({ state, kind }) => state === "running" && KINDS.includes(kind)).map(({ job }) => job).join();
+      if (running !== this.running) this.refresh().catch(() => {});
+      this.running = running;
     });
   }
 
