@@ -1,5 +1,8 @@
 // Messages of the posed websocket. Generated from the Rust types by `posed schema --typescript`; do not edit.
 
+/** How units on the intra-bird bus are numbered. */
+export type Addressing = "normal" | "expanded" | "super-expanded";
+
 /** A surveyed point that a sensor of the pole stood on. */
 export type AnchorSpec = {
   /** For messages. */
@@ -15,7 +18,7 @@ export type AnchorSpec = {
 };
 
 /** What a request was answered with; which one gets which: [`Answers`]. All others are answered with `ok` alone. */
-export type Answer = Resumed | RecordingBegun | Started | Forgotten | Recordings | Tracked | Takes | Digested | Removed | Look | Labels | HealthHistory | Exercises | Demonstration | MapVersion | KeptFile | SessionBegun | ListedSessions | Shown | Report | People | Plans | Renamed;
+export type Answer = Resumed | RecordingBegun | Started | Forgotten | Recordings | Tracked | Takes | Digested | Removed | Look | Labels | HealthHistory | Exercises | Demonstration | MapVersion | Setup | KeptFile | SessionBegun | ListedSessions | Shown | Report | People | Plans | Renamed;
 
 /** The `result` of each request that has one, by the request's `type`. */
 export type Answers = {
@@ -53,6 +56,8 @@ export type Answers = {
   "session.plans": Plans;
   "session.report": Report;
   "session.show": Shown;
+  "setup.find": Started;
+  "setup.read": Setup;
   "stage.align": Started;
 };
 
@@ -431,6 +436,26 @@ export type Call = {
   /** Its name. */
   name: string;
   type: "session.delete_plan";
+} | {
+  /** Made one after the other; none: the file as it is. */
+  changes?: StageChange[];
+  /** The reply carries it. */
+  id: RequestId;
+  type: "setup.read";
+} | {
+  /** Made one after the other. */
+  changes: StageChange[];
+  /** The reply carries it. */
+  id: RequestId;
+  /** The `revision` that `setup.read` gave. */
+  revision: string;
+  type: "setup.save";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** Only this one: path of a serial port, tcp://HOST:PORT or udp://HOST:PORT; absent: all serial ports, and the units that announce themselves on the network. */
+  port?: string | null;
+  type: "setup.find";
 } | {
   /** The reply carries it. */
   id: RequestId;
@@ -963,6 +988,50 @@ export type Forgotten = {
   recordings: string[];
   /** Sessions with all that was in them. */
   sessions: number;
+};
+
+/** The `result` of a job of `setup.find`, of `posed doctor` likewise; grows while ports answer. */
+export type Found = {
+  /** What was found at each port. */
+  ports: FoundPort[];
+};
+
+/** What was found at one port. */
+export type FoundPort = {
+  /** How units on the bus are numbered. */
+  addressing: Addressing | null;
+  /** The changes that add the device with its sensors to the stage file; none where nothing usable answers. */
+  adds?: StageChange[];
+  /** Line rate at which it answers, bit/s. */
+  baud: number | null;
+  /** The device of this stage that the port belongs to, by name: it is not asked. Absent where there is none. */
+  device?: string | null;
+  /** The driver that understands what is there; null where nothing answers. */
+  driver: string | null;
+  /** What to do about it. */
+  fix: string | null;
+  /** Port of this computer that the device sends to, where it has a certain one. */
+  local_port?: number | null;
+  /** Model as the unit writes it. */
+  model: string | null;
+  /** The port as a stage file names it. */
+  port: string;
+  /** What is wrong. */
+  problem: string | null;
+  /** Measurement rate, Hz. */
+  rate_hz: number | null;
+  /** Software revision, such as `3.67`. */
+  revision: string | null;
+  /** Units that have a sensor, by rising address. */
+  sensors: FoundSensor[];
+};
+
+/** One unit with a sensor. */
+export type FoundSensor = {
+  /** Address on the device; 0 is a stand-alone unit. */
+  address: number;
+  /** Serial number, where the device reports one; a SlimeVR tracker's network address. */
+  serial?: string | null;
 };
 
 /** What the fault map reports about a frame. */
@@ -1945,6 +2014,78 @@ export type SessionsMessage = {
   t_s: number;
 };
 
+/** A stage file, as it is or as it would be with changes, and what is wrong with it. */
+export type Setup = {
+  /** Its bodies, in their order. */
+  bodies: SetupBody[];
+  /** Its devices, in their order. */
+  devices: SetupDevice[];
+  /** Name of the file. */
+  file: string;
+  /** The stage's name; empty where none stands there. */
+  name: string;
+  /** What is wrong: the stage cannot run like this. As `posed check` says it. */
+  problems: SetupProblem[];
+  /** Which contents of the file this was made from; `setup.save` is refused where it has others by then. */
+  revision: string;
+  /** Its sensors, in their order. */
+  sensors: SetupSensor[];
+  /** The text, with a placeholder for every secret. */
+  toml: string;
+  /** What works, but hardly as it was meant. */
+  warnings: SetupProblem[];
+  /** Why it cannot be changed from here; null where it can. */
+  why_not: string | null;
+};
+
+/** A body of a stage file. */
+export type SetupBody = {
+  /** Height of the person, m; null where it is not given. */
+  height_m: number | null;
+  /** Its name. */
+  name: string;
+};
+
+/** A device of a stage file; texts that are not there are empty. */
+export type SetupDevice = {
+  /** Its driver. */
+  driver: string;
+  /** Its name. */
+  name: string;
+  /** Its port. */
+  port: string;
+};
+
+/** Something that is wrong with a stage file, or doubtful. */
+export type SetupProblem = {
+  /** What to do about it. */
+  fix: string;
+  /** The key it is about; may be empty. */
+  key: string;
+  /** Line of the text, from 1. */
+  line: number;
+  /** What is wrong. */
+  message: string;
+  /** Which one, by the name that stands there. */
+  name: string | null;
+  /** What it is about, where it is a device, a sensor or a body; null: something else. */
+  table: StageTable | null;
+};
+
+/** A sensor of a stage file; texts that are not there are empty. */
+export type SetupSensor = {
+  /** Its address on the device. */
+  address: number;
+  /** The body that wears it, by name; null: the only one. */
+  body: string | null;
+  /** Its device, by name. */
+  device: string;
+  /** Its name. */
+  name: string;
+  /** The segment that it sits on, as its `segment` or its name says; null: on none. */
+  segment: string | null;
+};
+
 /** A session in full. */
 export type Shown = {
   /** Its sets, repetitions, scores and courses, as `posed session show --json` prints them. */
@@ -1998,6 +2139,35 @@ export type Spoken = {
   about: "smoothness";
 };
 
+/** One change of a stage file. */
+export type StageChange = {
+  change: "name_stage";
+  /** Which. */
+  name: string;
+} | {
+  change: "add";
+  /** Its keys, as in the stage file. */
+  keys: Record<string, unknown>;
+  /** What. */
+  table: StageTable;
+} | {
+  change: "set";
+  /** Which key. */
+  key: string;
+  /** Of which, by its name. */
+  name: string;
+  /** Of what. */
+  table: StageTable;
+  /** Its value, as in the stage file; null or absent: the key is removed. */
+  value?: unknown;
+} | {
+  change: "remove";
+  /** Which, by its name. */
+  name: string;
+  /** What. */
+  table: StageTable;
+};
+
 /** One of them. */
 export type StageEntry = {
   /** How its clock stands to the hub's; null until it is known. */
@@ -2044,6 +2214,9 @@ export type StageLatency = {
 
 /** Whether a stage is there. */
 export type StagePresence = "joining" | "present" | "gone";
+
+/** Tables that a change can be about. */
+export type StageTable = "device" | "sensor" | "body";
 
 /** All stages that a hub has heard of. */
 export type Stages = {

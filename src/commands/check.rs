@@ -31,19 +31,24 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     if report.ok { Ok(()) } else { Err(Error::Reported) }
 }
 
+/// Checks the text of a stage file, whose relative paths begin at `folder`.
+pub(crate) fn of_text(text: &str, folder: &Path) -> Report {
+    let mut report = posed_stage::check_in(text, folder);
+    if report.ok
+        && let Ok(stage) = Stage::parse(text)
+    {
+        report.problems.extend(simulation::problems(text, &stage, folder));
+        report.ok = report.problems.is_empty();
+    }
+    report
+}
+
 /// Checks the bytes of the stage file at `path`.
 fn report(bytes: &[u8], path: &Path) -> Report {
     match std::str::from_utf8(bytes) {
         Ok(text) => {
-            let folder = path.parent().unwrap_or(Path::new(""));
-            let mut report = posed_stage::check_in(text, folder);
+            let mut report = of_text(text, path.parent().unwrap_or(Path::new("")));
             report.warnings.extend(posed_stage::readable_by_others(path, text));
-            if report.ok
-                && let Ok(stage) = Stage::parse(text)
-            {
-                report.problems.extend(simulation::problems(text, &stage, folder));
-                report.ok = report.problems.is_empty();
-            }
             report
         }
         Err(error) => {

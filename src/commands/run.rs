@@ -1,24 +1,32 @@
 //! `posed run STAGE.toml`: the daemon on the stage's own devices.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
-use posed_daemon::{Daemon, Options, StartError};
+use posed_daemon::{MakeOptions, Options, StageFile, Stages, StartError};
 use posed_stage::{PortAddress, Stage};
 
 use super::end::End;
-use super::{Error, service, watch};
+use super::{Error, check, output, service, watch};
 
 /// Time between two attempts to get the address.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
+/// The stage file that the page sets up.
+const NEW: &str = "# Every key is explained in config/README.md.\n\nname = \"Stage\"\n";
 
 /// What to run.
 #[derive(clap::Args)]
-#[command(after_help = "Examples:\n  posed run stage.toml\n  posed run stage.toml --record take-1.mcap\n\n\
-    Ctrl-C or SIGTERM ends it within 5 s with exit code 0.")]
+#[command(
+    after_help = "Examples:\n  posed run stage.toml\n  posed run --new stage.toml\n  posed run stage.toml --record take-1.mcap\n\n\
+    Ctrl-C or SIGTERM ends it within 5 s with exit code 0."
+)]
 pub(crate) struct Args {
     /// The stage file; `posed check` states whether it is right, `posed doctor --write-stage` writes a first one.
     stage: PathBuf,
+    /// Where there is no such file, begin one without devices: the view Set up of the page finds them and writes them into it.
+    #[arg(long)]
+    new: bool,
     /// Record everything that comes in, from the first byte on.
     #[arg(long, value_name = "REC.mcap")]
     record: Option<PathBuf>,
@@ -44,21 +52,34 @@ fn port(text: &str) -> Result<(String, String), String> {
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
+    if args.new && !args.stage.exists() {
+        output::create(&args.stage, |file| file.write_all(NEW.as_bytes()))?;
+    }
     let text =
         std::fs::read_to_string(&args.stage).map_err(|error| Error::file("read", &args.stage, &error))?;
-    let mut stage = Stage::load(&args.stage).map_err(Error::failed)?;
-    for (name, port) in args.ports {
-        match stage.devices.iter_mut().find(|device| device.name == name) {
-            Some(device) => device.port = port,
-            None => return Err(Error::Usage(format!("--port: the stage has no device {name:?}"))),
-        }
+    let stage = Stage::load(&args.stage).map_err(Error::failed)?;
+    if let Some((name, _)) =
+        args.ports.iter().find(|(name, _)| stage.devices.iter().all(|device| device.name != *name))
+    {
+        return Err(Error::Usage(format!("--port: the stage has no device {name:?}")));
     }
     let folder = args.stage.parent().unwrap_or(Path::new("")).to_owned();
     let data = args.data.unwrap_or_else(|| folder.clone());
-    let options =
-        Options { listen: args.listen, record: args.record, data, ..self::options(stage, text, folder) };
+    let (listen, ports) = (args.listen, args.ports);
+    // The same for the stage as clients change it.
+    let options: MakeOptions = Arc::new(move |mut stage, text| {
+        for (name, port) in &ports {
+            if let Some(device) = stage.devices.iter_mut().find(|device| device.name == *name) {
+                device.port.clone_from(port);
+            }
+        }
+        let (listen, data) = (listen.clone(), data.clone());
+        Options { listen, data, ..self::options(stage, text, folder.clone()) }
+    });
+    let first = Options { record: args.record, ..options(stage, text) };
+    let file = StageFile { path: args.stage, check: check::of_text, options };
     block_on(async {
-        let Some(daemon) = start(options, args.wait).await? else { return Ok(()) };
+        let Some(daemon) = start(first, file, args.wait).await? else { return Ok(()) };
         watch::announce(daemon.vrpn_address())?;
         let ended = watch::until_end(daemon.url(), daemon.status(), daemon.part_ended(), None).await;
         daemon.shutdown().await;
@@ -67,10 +88,10 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 }
 
 /// Starts the daemon, as often as it takes if it is to `wait` for its address; `None` if it is asked to end meanwhile.
-async fn start(options: Options, wait: bool) -> Result<Option<Daemon>, Error> {
+async fn start(options: Options, file: StageFile, wait: bool) -> Result<Option<Stages>, Error> {
     let (mut reported, mut end) = (String::new(), None);
     loop {
-        let reason = match Daemon::start(options.clone()) {
+        let reason = match Stages::start(options.clone(), file.clone()) {
             Ok(daemon) => return Ok(Some(daemon)),
             Err(StartError::Bind(error)) if wait && error.may_pass() => error.to_string(),
             Err(error) => return Err(Error::failed(error)),

@@ -3,6 +3,9 @@
 //! What comes in: ports to ask, or a driver whose device is looked for. What goes out: who answers, or the open port of
 //! the device that was meant. It configures nothing. Ports are distinguished by who answers there, never by their names.
 
+pub mod proposal;
+pub mod survey;
+
 use std::io;
 use std::net::Ipv4Addr;
 use std::time::Duration;

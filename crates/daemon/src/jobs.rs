@@ -120,6 +120,13 @@ impl Jobs {
         }
     }
 
+    /// What runs, by the requests that asked for it.
+    pub(super) fn running(&self) -> Vec<String> {
+        let list = self.lock();
+        let running = list.jobs.iter().filter(|listed| listed.job.state == JobState::Running);
+        running.map(|listed| listed.job.kind.clone()).collect()
+    }
+
     fn is_full(&self) -> bool {
         self.lock().jobs.iter().filter(|listed| listed.job.state == JobState::Running).count() >= RUNNING
     }
@@ -195,6 +202,15 @@ impl Job {
                 fraction.filter(|fraction| *fraction > 0.0).map(|fraction| passed_s * (1.0 / fraction - 1.0));
             listed.job.message = message;
         });
+    }
+
+    /// The same, with what has come of it so far.
+    pub(super) fn progress_with(&self, fraction: Option<f64>, message: String, result: serde_json::Value) {
+        // In one message: the second of two that follow one another waits for what comes next.
+        if let Some(listed) = self.jobs.lock().jobs.iter_mut().find(|listed| listed.job.job == self.number) {
+            listed.job.result = Some(result);
+        }
+        self.progress(fraction, Some(message));
     }
 
     /// What came of it, for programs; said when it ends.

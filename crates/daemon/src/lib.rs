@@ -45,6 +45,7 @@ mod recorder;
 pub mod recordings;
 pub mod server;
 mod service;
+mod stages;
 mod track;
 mod training;
 mod vital;
@@ -68,6 +69,7 @@ pub use self::models::ModelError;
 pub use self::observers::{Observer, Times};
 pub use self::playback::{Playback, PlaybackError};
 pub use self::ports::ended;
+pub use self::stages::{Check, MakeOptions, StageFile, Stages};
 pub use self::vital::{PartEnded, Vital};
 
 use self::calibration::{Calibration, MapInUse};
@@ -83,6 +85,7 @@ use self::observers::Observers;
 use self::ports::{DevicePort, PortTask};
 use self::server::{BindError, Server, Sides};
 use self::service::Service;
+use self::stages::Editor;
 use self::training::{Tools, Training};
 use posed_motion::segments::Model;
 use posed_pipeline::{PipelineError, SupervisedPipeline};
@@ -183,8 +186,12 @@ impl Daemon {
     /// # Panics
     /// Outside a tokio runtime with IO.
     pub fn start(options: Options) -> Result<Self, StartError> {
+        Self::start_at(options, Place::default())
+    }
+
+    fn start_at(options: Options, place: Place) -> Result<Self, StartError> {
         let places: Vec<_> = (0..).map_while(|index| DevicePort::of(&options.stage, index)).collect();
-        let mut daemon = Self::start_without_ports(options)?;
+        let mut daemon = Self::begin(options, place)?;
         for (place, port) in places.into_iter().zip(&mut daemon.ports) {
             if let Some(task) = port.take() {
                 daemon.service.spawn(format!("the port of {}", place.device()), task.keep_open(place));
@@ -201,13 +208,19 @@ impl Daemon {
     /// # Panics
     /// As for [`Daemon::start`].
     pub fn start_without_ports(options: Options) -> Result<Self, StartError> {
+        Self::begin(options, Place::default())
+    }
+
+    fn begin(options: Options, place: Place) -> Result<Self, StartError> {
         let Options { stage, stage_toml, folder, data, listen, record, truth, clock, link } = options;
         process_limits::raise();
         let loaded = models::load(&stage, &data)?;
         let in_use = MapInUse::read(&stage, &data)?;
         let mut config = server::Config::new(&folder, clock.epoch_utc_ns());
         config.problems = left_out(&loaded, &in_use);
+        config.problems.extend(place.problems);
         config.listen = listen;
+        config.socket = place.socket;
         config.clock = Some(clock);
         config.more_topics = if truth { vec![Topic::Truth] } else { Vec::new() };
         let inbox = Inbox::new(INBOX_CAPACITY);
@@ -302,6 +315,7 @@ impl Daemon {
         let services =
             Services { clock, inbox: inbox.clone(), jobs, calibration, training, library, history };
         let calls = Calls::new(&stage, data, services);
+        let calls = calls.on_file(stage_toml, place.editor);
         let calls = calls.run(pending, service.down());
         service.spawn("what answers requests", calls);
         service.spawn("what looks at the disk", disk.watch(recordings, service.down()));
@@ -361,6 +375,12 @@ impl Daemon {
         self.service.status()
     }
 
+    /// Ends for another daemon at the same socket: clients are asked to connect again.
+    async fn make_way(self) {
+        self.service.make_way();
+        self.shutdown().await;
+    }
+
     /// Ends everything: the recording is complete, clients are notified of the end. Takes less than five seconds, and what a link
     /// to other machines takes to end. What does not end in time is left behind, and the log says so.
     pub async fn shutdown(self) {
@@ -369,6 +389,30 @@ impl Daemon {
         // Its threads may be waiting for a link.
         let _ = tokio::task::spawn_blocking(move || drop(self.link)).await;
     }
+}
+
+/// What a daemon has from whoever runs one after the other; nothing by default.
+#[derive(Clone, Default)]
+struct Place {
+    /// An open socket to serve clients at.
+    socket: Option<Arc<std::net::TcpListener>>,
+    /// The stage file, where clients may change it.
+    editor: Option<Editor>,
+    /// What went wrong before.
+    problems: Vec<Problem>,
+}
+
+/// Whether a daemon could start with these options, as far as can be known while another one has its ports and addresses. Reads files.
+fn rehearse(options: &Options) -> Result<(), StartError> {
+    let Options { stage, data, folder, .. } = options;
+    models::load(stage, data)?;
+    MapInUse::read(stage, data)?;
+    if let Some(segments) = &stage.segments {
+        network(stage, &segments.model)?;
+    }
+    server::check_files(stage, folder)?;
+    SupervisedPipeline::new(stage)?;
+    Ok(())
 }
 
 /// What is reported of kept files that cannot be used: a daemon without them is better than none.

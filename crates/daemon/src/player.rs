@@ -267,6 +267,9 @@ impl Player {
             | Call::SegmentsTrain { .. }
             | Call::BodyCalibrate { .. }
             | Call::Mark { .. }
+            | Call::SetupRead { .. }
+            | Call::SetupSave { .. }
+            | Call::SetupFind { .. }
             | Call::HeadingReset { .. }
             | Call::StageAlign { .. }
             | Call::ImuCalibrate { .. }

@@ -9,7 +9,7 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 
 use super::ports::ended;
-use super::server::Server;
+use super::server::{MakesWay, Server};
 use super::vital::{PartEnded, Vital};
 use posed_protocol::Status;
 
@@ -25,19 +25,20 @@ pub(super) struct Service {
     shutdown: watch::Sender<bool>,
     vital: Vital,
     tasks: JoinSet<()>,
+    makes_way: MakesWay,
 }
 
 impl Service {
     /// Serves clients. Needs a tokio runtime.
     pub(super) fn start(server: Server) -> Self {
         let (address, vrpn_address, url) = (server.address(), server.vrpn_address(), server.url());
-        let status = server.status();
+        let (status, makes_way) = (server.status(), server.makes_way());
         let (shutdown, mut down) = watch::channel(false);
         let vital = Vital::new(shutdown.subscribe());
         let mut tasks = JoinSet::new();
         let serving = server.run(async move { ended(&mut down).await }, vital.clone());
         tasks.spawn(vital.task("the server", serving));
-        Self { address, vrpn_address, url, status, shutdown, vital, tasks }
+        Self { address, vrpn_address, url, status, shutdown, vital, tasks, makes_way }
     }
 
     pub(super) fn address(&self) -> SocketAddr {
@@ -81,6 +82,11 @@ impl Service {
     /// A task that may end alone.
     pub(super) fn spawn_aside(&mut self, task: impl Future<Output = ()> + Send + 'static) {
         self.tasks.spawn(task);
+    }
+
+    /// Clients are to be told that another stage follows at this address.
+    pub(super) fn make_way(&self) {
+        self.makes_way.set();
     }
 
     /// Ends the tasks, and waits for them and for the thread, which has been asked to end. Less than five seconds.

@@ -48,15 +48,15 @@ pub use encode::{Encoding, Payload};
 pub use message::{
     Answer, Begun, Change, Contacts, Data, Demonstration, Deviation, DeviceStatus, Digest, DigestCounts,
     DigestKeyPose, DigestMark, DigestRepetition, Digested, ErrorReply, ExerciseChange, ExerciseEvent,
-    Exercises, Fault, FaultChange, FaultSpan, FieldChange, FieldEvent, Figure, FigureSegment, HeadingSource,
-    HealthHistory, Hello, HelloBody, HelloSensor, Job, JobState, Jobs, JointEntry, Judged, KeptExercise,
-    KeptFile, KeyPose, LabelSpan, Labels, LearntEntry, LibraryTake, LinkState, ListedSessions, Look,
-    LookBody, LookSensor, MapVersion, Mark, Measured, OkReply, People, Picture, PicturePath, PlanProgress,
-    Plans, Problem, Quality, RecordingBegun, RecordingStatus, Recordings, RelatedClock, Removed, Renamed,
-    ReplayStatus, Report, Resumed, RunningSession, ScrewMotion, SegmentBody, SegmentEntry, SegmentSpan,
-    SensorEntry, SensorHistory, SensorStatus, Sensors, ServerMessage, SessionBegun, Sessions, Shown, Sole,
-    Spoken, StageEntry, StageLatency, StagePresence, Stages, Started, Status, Takes, Tracked, TruthEntry,
-    Truths,
+    Exercises, Fault, FaultChange, FaultSpan, FieldChange, FieldEvent, Figure, FigureSegment, Found,
+    FoundPort, FoundSensor, HeadingSource, HealthHistory, Hello, HelloBody, HelloSensor, Job, JobState, Jobs,
+    JointEntry, Judged, KeptExercise, KeptFile, KeyPose, LabelSpan, Labels, LearntEntry, LibraryTake,
+    LinkState, ListedSessions, Look, LookBody, LookSensor, MapVersion, Mark, Measured, OkReply, People,
+    Picture, PicturePath, PlanProgress, Plans, Problem, Quality, RecordingBegun, RecordingStatus, Recordings,
+    RelatedClock, Removed, Renamed, ReplayStatus, Report, Resumed, RunningSession, ScrewMotion, SegmentBody,
+    SegmentEntry, SegmentSpan, SensorEntry, SensorHistory, SensorStatus, Sensors, ServerMessage,
+    SessionBegun, Sessions, Setup, SetupBody, SetupDevice, SetupProblem, SetupSensor, Shown, Sole, Spoken,
+    StageEntry, StageLatency, StagePresence, Stages, Started, Status, Takes, Tracked, TruthEntry, Truths,
 };
 pub use names::Names;
 pub use packed::{unpack, unpacker};

@@ -6,8 +6,8 @@ use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value, json};
 
 use super::message::{
-    Answers, Data, ExerciseEvent, Fault, FieldEvent, Figure, Jobs, KeyPose, Mark, SegmentBody, Sensors,
-    Sessions, Status, Truths,
+    Answers, Data, ExerciseEvent, Fault, FieldEvent, Figure, Found, Jobs, KeyPose, Mark, SegmentBody,
+    Sensors, Sessions, Status, Truths,
 };
 use super::plain::plain;
 use super::{Call, Feed, RequestId, ServerMessage, Topic, typescript};
@@ -18,6 +18,7 @@ pub fn json_schema() -> Value {
     let mut written = SchemaSettings::draft2020_12().for_serialize().into_generator();
     let server = written.subschema_for::<ServerMessage>();
     let _ = written.subschema_for::<Answers>();
+    let _ = written.subschema_for::<Found>();
     let mut read = SchemaSettings::draft2020_12().into_generator();
     let feed = read.subschema_for::<Feed>();
     let call = read.subschema_for::<Call>();

@@ -46,9 +46,10 @@ impl AtomicFile {
             builder.prefix(".posed-").suffix(".tmp");
             #[cfg(unix)]
             {
-                // What other files get; the user's mask still applies.
+                // What the file has that is replaced, which may hold secrets, else what other files get; the user's mask still applies.
                 use std::os::unix::fs::PermissionsExt;
-                builder.permissions(std::fs::Permissions::from_mode(0o666));
+                let mode = path.metadata().map_or(0o666, |there| there.permissions().mode() & 0o777);
+                builder.permissions(std::fs::Permissions::from_mode(mode));
             }
             Target::Beside(builder.tempfile_in(folder)?)
         };

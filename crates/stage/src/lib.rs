@@ -11,6 +11,7 @@ mod attached;
 mod body;
 mod check;
 mod driver;
+pub mod edit;
 mod field;
 mod files;
 pub mod input;
@@ -139,8 +140,16 @@ impl Stage {
     pub fn load(path: &Path) -> Result<Self, LoadError> {
         let text = std::fs::read_to_string(path)
             .map_err(|error| LoadError::Read { path: path.to_owned(), error })?;
+        Self::load_text(&text, path)
+    }
+
+    /// As [`Stage::load`], from a text that is to become the file at `path`.
+    ///
+    /// # Errors
+    /// As for [`Stage::load`], but for [`LoadError::Read`].
+    pub fn load_text(text: &str, path: &Path) -> Result<Self, LoadError> {
         let folder = path.parent().unwrap_or(Path::new(""));
-        let mut stage = check::parse(&text, Some(folder))
+        let mut stage = check::parse(text, Some(folder))
             .map_err(|problems| LoadError::Wrong { path: path.to_owned(), problems })?;
         stage.read_secrets(folder).map_err(LoadError::Secret)?;
         if let Some(tls) = &mut stage.server.tls {

@@ -1,11 +1,9 @@
 //! `posed doctor [PORT]`: lists the ports, asks each what is there, and states what is wrong.
 //!
-//! Ports are asked side by side, each at one rate after the other, and none for longer than [`LIMIT`]. A unit that
+//! Ports are asked side by side, each at one rate after the other, and none for longer than [`survey::LIMIT`]. A unit that
 //! streams is stopped by the question; nothing else is changed.
 
 mod installation;
-mod probe;
-mod stage;
 mod sync;
 
 use std::path::{Path, PathBuf};
@@ -13,12 +11,18 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use posed_daemon::find::Kind;
+use posed_daemon::find::proposal::propose;
+use posed_daemon::find::survey::{self, Wanted};
+use posed_protocol::{FoundPort, FoundSensor};
+use posed_stage::Stage;
+use posed_stage::edit::edit;
 use serde::Serialize;
 
 use super::{Error, output, print, print_json};
 
-/// How long all questions together may take.
-const LIMIT: Duration = Duration::from_millis(18_500);
+/// What a written stage file begins with.
+const HEAD: &str =
+    "# Written by `posed doctor`. Every key is explained in config/README.md.\n\nname = \"Stage\"\n";
 
 /// What to look at.
 #[derive(clap::Args)]
@@ -60,47 +64,9 @@ fn kind(word: &str) -> Result<Kind, String> {
 /// What `doctor` answers.
 #[derive(Serialize)]
 struct Report {
-    ports: Vec<PortReport>,
+    ports: Vec<FoundPort>,
     /// What of this computer was looked at; empty where a port was named.
     installation: Vec<installation::Finding>,
-}
-
-/// What was found at one port.
-#[derive(Clone, Debug, Default, Serialize)]
-struct PortReport {
-    /// The port as a stage file names it.
-    port: String,
-    /// Port of this computer that the device sends to, where it has a certain one.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    local_port: Option<u16>,
-    /// The driver that understands what is there; absent where nothing answers.
-    driver: Option<&'static str>,
-    /// Software revision, such as `3.67`.
-    revision: Option<String>,
-    /// Model as the unit writes it.
-    model: Option<String>,
-    /// Line rate at which it answers, bit/s.
-    baud: Option<u32>,
-    /// How units on the bus are numbered.
-    addressing: Option<posed_drivers::flock::wire::Addressing>,
-    /// Measurement rate, Hz.
-    rate_hz: Option<f64>,
-    /// Units that have a sensor, by rising address.
-    sensors: Vec<SensorReport>,
-    /// What is wrong.
-    problem: Option<String>,
-    /// What to do about it.
-    fix: Option<String>,
-}
-
-/// One unit with a sensor.
-#[derive(Clone, Debug, Serialize)]
-struct SensorReport {
-    /// Address on the device; 0 is a stand-alone unit.
-    address: u16,
-    /// Serial number, where the device reports one; a SlimeVR tracker's network address.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    serial: Option<String>,
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
@@ -117,7 +83,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         Some(port) => vec![port.clone()],
         None => posed_drivers::port::list(),
     };
-    let wanted = probe::Wanted { baud: args.baud, kind: args.driver };
+    let wanted = Wanted { baud: args.baud, kind: args.driver };
     let alone = args.port.is_some() || args.driver.is_some_and(|kind| kind != Kind::XImu3);
     let progress = ProgressBar::new_spinner().with_style(ProgressStyle::default_spinner());
     progress.enable_steady_tick(Duration::from_millis(120));
@@ -125,8 +91,9 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime.map_err(|error| Error::Failed(format!("cannot start: {error}")))?;
     let ports = runtime.block_on(async {
-        let network = async { if alone { Vec::new() } else { probe::network().await } };
-        let (mut ports, network) = tokio::join!(probe::all(ports, wanted, LIMIT), network);
+        let network = async { if alone { Vec::new() } else { survey::network().await } };
+        let (mut ports, network) =
+            tokio::join!(survey::ports(ports, wanted, survey::LIMIT, |_, _| {}), network);
         ports.extend(network);
         ports
     });
@@ -146,11 +113,25 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         return Err(Error::Reported);
     }
     if let Some(path) = &args.write_stage {
-        let text = stage::text(&report.ports)?;
+        let text = stage(report.ports)?;
         output::create(path, |file| file.write_all(text.as_bytes()))?;
         super::notify(&format!("wrote {}; next: posed run {0}", path.display()));
     }
     Ok(())
+}
+
+/// The text of a stage file with every device that answered and every sensor it has.
+fn stage(mut ports: Vec<FoundPort>) -> Result<String, Error> {
+    propose(&mut ports, &[]);
+    let changes: Vec<_> = ports.into_iter().flat_map(|port| port.adds).collect();
+    if changes.is_empty() {
+        return Err(Error::Failed("no device has a sensor, so there is no stage to write".to_owned()));
+    }
+    let text = edit(HEAD, &changes).map_err(Error::failed)?;
+    // What is written must be what `check` and `run` take.
+    Stage::parse(&text)
+        .map_err(|problems| Error::Failed(format!("cannot write a stage for this: {problems}")))?;
+    Ok(text)
 }
 
 impl Report {
@@ -173,52 +154,49 @@ impl Report {
                     adapter, or name a port: posed doctor tcp://HOST:PORT\n"
                 .to_owned();
         }
-        self.ports.iter().map(PortReport::sentences).collect()
+        self.ports.iter().map(sentences).collect()
     }
 }
 
-impl PortReport {
-    fn sentences(&self) -> String {
-        let mut text = format!("{}\n", self.port);
-        if let Some(driver) = self.driver {
-            let name = match driver {
-                "flock-of-birds" => "Flock of Birds",
-                "motionstar" => "MotionStar",
-                "fastrak" => "Fastrak",
-                "xbus" => "Xbus device",
-                "x-imu3" => "x-IMU3",
-                "slimevr" => "SlimeVR trackers",
-                "vrpn" => "VRPN server",
-                other => other,
-            };
-            let model = self.model.as_deref().map(|model| format!(" ({model})")).unwrap_or_default();
-            let revision =
-                self.revision.as_deref().map(|text| format!(", revision {text}")).unwrap_or_default();
-            let rate = self.rate_hz.map(|rate| format!(", {rate:.1} Hz")).unwrap_or_default();
-            let baud = self.baud.map(|baud| format!(", {baud} baud")).unwrap_or_default();
-            text.push_str(&format!("    {name}{model}{revision}{baud}{rate}\n"));
-            let serial = |s: &SensorReport| s.serial.as_ref().map(|s| format!(" ({s})")).unwrap_or_default();
-            let addresses: Vec<String> =
-                self.sensors.iter().map(|s| format!("{}{}", s.address, serial(s))).collect();
-            match self.sensors.as_slice() {
-                [] => {}
-                [only] if only.address == 0 => {
-                    text.push_str(&format!("    stand-alone unit: address 0{}\n", serial(only)));
-                }
-                _ if driver == "flock-of-birds" => {
-                    text.push_str(&format!("    birds at addresses {}\n", addresses.join(", ")));
-                }
-                _ => text.push_str(&format!("    sensors at addresses {}\n", addresses.join(", "))),
+fn sentences(port: &FoundPort) -> String {
+    let mut text = format!("{}\n", port.port);
+    if let Some(driver) = port.driver.as_deref() {
+        let name = match driver {
+            "flock-of-birds" => "Flock of Birds",
+            "motionstar" => "MotionStar",
+            "fastrak" => "Fastrak",
+            "xbus" => "Xbus device",
+            "x-imu3" => "x-IMU3",
+            "slimevr" => "SlimeVR trackers",
+            "vrpn" => "VRPN server",
+            other => other,
+        };
+        let model = port.model.as_deref().map(|model| format!(" ({model})")).unwrap_or_default();
+        let revision = port.revision.as_deref().map(|text| format!(", revision {text}")).unwrap_or_default();
+        let rate = port.rate_hz.map(|rate| format!(", {rate:.1} Hz")).unwrap_or_default();
+        let baud = port.baud.map(|baud| format!(", {baud} baud")).unwrap_or_default();
+        text.push_str(&format!("    {name}{model}{revision}{baud}{rate}\n"));
+        let serial = |s: &FoundSensor| s.serial.as_ref().map(|s| format!(" ({s})")).unwrap_or_default();
+        let addresses: Vec<String> =
+            port.sensors.iter().map(|s| format!("{}{}", s.address, serial(s))).collect();
+        match port.sensors.as_slice() {
+            [] => {}
+            [only] if only.address == 0 => {
+                text.push_str(&format!("    stand-alone unit: address 0{}\n", serial(only)));
             }
+            _ if driver == "flock-of-birds" => {
+                text.push_str(&format!("    birds at addresses {}\n", addresses.join(", ")));
+            }
+            _ => text.push_str(&format!("    sensors at addresses {}\n", addresses.join(", "))),
         }
-        if let Some(problem) = &self.problem {
-            text.push_str(&format!("    {problem}\n"));
-        }
-        if let Some(fix) = &self.fix {
-            text.push_str(&format!("    fix: {fix}\n"));
-        }
-        text
     }
+    if let Some(problem) = &port.problem {
+        text.push_str(&format!("    {problem}\n"));
+    }
+    if let Some(fix) = &port.fix {
+        text.push_str(&format!("    fix: {fix}\n"));
+    }
+    text
 }
 
 #[cfg(test)]
@@ -227,21 +205,21 @@ mod tests {
 
     #[test]
     fn what_was_found_is_reported_in_sentences() {
-        let found = PortReport {
+        let found = FoundPort {
             port: "/dev/ttyUSB0".into(),
-            driver: Some("flock-of-birds"),
+            driver: Some("flock-of-birds".into()),
             revision: Some("3.67".into()),
             model: Some("6DFOB".into()),
             baud: Some(115_200),
             rate_hz: Some(103.3),
-            sensors: [1, 2].map(|address| SensorReport { address, serial: None }).into(),
-            ..PortReport::default()
+            sensors: [1, 2].map(|address| FoundSensor { address, serial: None }).into(),
+            ..FoundPort::default()
         };
-        let silent = PortReport {
+        let silent = FoundPort {
             port: "/dev/ttyS0".into(),
             problem: Some("nothing answers".into()),
             fix: Some("check the cable".into()),
-            ..PortReport::default()
+            ..FoundPort::default()
         };
         let installation = vec![installation::Finding {
             check: "latency",
@@ -253,5 +231,10 @@ mod tests {
                         birds at addresses 1, 2\n/dev/ttyS0\n    nothing answers\n    fix: check the cable\n\
                         the adapter of ttyUSB0 collects bytes for 16 ms\n    fix: plug it in again\n";
         assert_eq!(text, expected);
+    }
+
+    #[test]
+    fn a_stage_without_a_sensor_is_not_written() {
+        assert!(stage(vec![FoundPort { driver: Some("xbus".into()), ..FoundPort::default() }]).is_err());
     }
 }

@@ -17,4 +17,5 @@ mod run;
 mod segments;
 mod service;
 mod sessions;
+pub(crate) mod setup;
 mod takes;

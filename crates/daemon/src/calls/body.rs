@@ -13,7 +13,7 @@ use super::super::server::{Refusal, Reply};
 use super::Calls;
 use super::guided::{self, Guided};
 use posed_fusion::body::assign;
-use posed_fusion::body::{Block, Calibrated, CalibrationError, Recorded, calibrate};
+use posed_fusion::body::{Block, BlockKind, Calibrated, CalibrationError, Recorded, calibrate};
 use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton};
 use posed_fusion::body::{Guide, Places, Thoroughness, Trackers};
 use posed_geometry::orientation_to_wxyz;
@@ -240,7 +240,8 @@ impl Guided for Body {
             };
             let message = format!("{} of {steps}: {silent}{again}{prompt}", done + 1);
             self.reported = Some(now);
-            job.progress(Some(done as f64 / steps as f64), Some(message));
+            let asks = self.guide.step().map(BlockKind::name);
+            job.progress_with(Some(done as f64 / steps as f64), message, json!({ "asks": asks }));
         }
     }
 

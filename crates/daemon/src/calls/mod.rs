@@ -13,6 +13,7 @@ mod faults;
 mod guided;
 mod imu;
 mod segments;
+mod setup;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
@@ -31,6 +32,7 @@ use super::observers::Kept;
 use super::ports::ended;
 use super::recordings;
 use super::server::{PendingCall, Refusal, Reply};
+use super::stages::Editor;
 use super::track;
 use super::training::Training;
 use posed_pipeline::DEFAULT_SUBJECT;
@@ -59,6 +61,7 @@ pub(super) struct Calls {
     training: Training,
     library: TakeLibrary,
     history: Kept,
+    file: setup::File,
 }
 
 /// What carries calls out.
@@ -96,7 +99,13 @@ impl Calls {
             training,
             library,
             history,
+            file: setup::File::default(),
         }
+    }
+
+    /// The same for the stage file of this text, which clients may change where there is an `editor`.
+    pub(super) fn on_file(self, text: String, editor: Option<Editor>) -> Self {
+        Self { file: setup::File::new(text, editor), ..self }
     }
 
     /// Until shutdown.
@@ -242,6 +251,14 @@ impl Calls {
             Call::SessionPlans {} => reply.answer(self.training.plans()),
             Call::SessionSavePlan { plan } => reply.answer(self.training.save_plan(&plan)),
             Call::SessionDeletePlan { name } => reply.answer(self.training.delete_plan(&name)),
+            Call::SetupRead { changes } => {
+                let read = self.read_setup(&changes);
+                reply.answer(read.map(|setup| Some(Answer::Setup(Box::new(setup)))));
+            }
+            Call::SetupSave { changes, revision } => {
+                reply.answer(self.save_setup(&changes, &revision).map(|()| None));
+            }
+            Call::SetupFind { port } => self.find_ports(port, reply),
             Call::JobCancel { job } => match self.jobs.cancel(job) {
                 Ok(()) => {
                     self.inbox.command(Command::LookAtJobs);
@@ -334,6 +351,8 @@ fn is_slow(call: &Call) -> bool {
             | Call::SessionPlans {}
             | Call::SessionSavePlan { .. }
             | Call::SessionDeletePlan { .. }
+            | Call::SetupRead { .. }
+            | Call::SetupSave { .. }
     )
 }
 

@@ -63,7 +63,7 @@ pub(super) async fn serve(
     context.metrics.clients.dec();
     dialect.leave().await;
     if let End::Close(close) = end {
-        if close != Close::SHUTDOWN {
+        if ![Close::SHUTDOWN, Close::RESTART].contains(&close) {
             context.metrics.refuse("policy");
         }
         if close.is_breach()
@@ -94,7 +94,7 @@ impl<D: Dialect> Client<D> {
         loop {
             let step = tokio::select! {
                 biased;
-                () = ended(&mut shutdown) => return End::Close(Close::SHUTDOWN),
+                () = ended(&mut shutdown) => return End::Close(self.context.makes_way.goodbye()),
                 incoming = self.socket.recv() => {
                     received = now();
                     match incoming {
@@ -204,7 +204,7 @@ async fn patiently(
             Ok(Err(_)) => Err(End::Gone),
             Err(_) => Err(End::Close(Close::SILENT)),
         },
-        () = ended(&mut shutdown) => Err(End::Close(Close::SHUTDOWN)),
+        () = ended(&mut shutdown) => Err(End::Close(context.makes_way.goodbye())),
     }
 }
 

@@ -78,7 +78,7 @@ impl HubServer {
         folder: &Path,
     ) -> Result<(Self, StageRegistry), BindError> {
         crate::process_limits::raise();
-        let listener = Listener::open(settings, listen, folder)?;
+        let listener = Listener::open(settings, listen, None, folder)?;
         let (directory, commands) = mpsc::channel(DIRECTORY_REPORTS);
         let greeting = directory::Greeting { name: name.to_owned(), epoch_utc: rfc3339(epoch_utc_ns) };
         let registered = Registered {

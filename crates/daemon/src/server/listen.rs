@@ -4,6 +4,7 @@ use std::io::ErrorKind;
 use std::net::SocketAddr;
 use std::pin::pin;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use axum::Extension;
@@ -18,7 +19,7 @@ use tokio_rustls::TlsAcceptor;
 use super::access::Access;
 use super::budget::Metered;
 use super::metrics::Metrics;
-use super::outbox::Outboxes;
+use super::outbox::{Close, Outboxes};
 use super::slots::{Slot, Slots};
 use posed_stage::Limits;
 
@@ -35,12 +36,28 @@ pub(super) struct ConnectionContext {
     pub(super) slots: Slots,
     pub(super) outboxes: Outboxes,
     pub(super) shutdown: watch::Receiver<bool>,
+    pub(super) makes_way: MakesWay,
+}
+
+/// Whether another stage follows at this address; clones share it.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct MakesWay(Arc<AtomicBool>);
+
+impl MakesWay {
+    pub(crate) fn set(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
+    /// What clients are told at the end.
+    pub(super) fn goodbye(&self) -> Close {
+        if self.0.load(Ordering::Relaxed) { Close::RESTART } else { Close::SHUTDOWN }
+    }
 }
 
 impl ConnectionContext {
     /// The same for connections that end by a word of their own.
     pub(super) fn until(&self, shutdown: watch::Receiver<bool>) -> Self {
-        let Self { access, limits, metrics, slots, outboxes, shutdown: _ } = self;
+        let Self { access, limits, metrics, slots, outboxes, shutdown: _, makes_way } = self;
         Self {
             access: access.clone(),
             limits: limits.clone(),
@@ -48,6 +65,7 @@ impl ConnectionContext {
             slots: slots.clone(),
             outboxes: outboxes.clone(),
             shutdown,
+            makes_way: makes_way.clone(),
         }
     }
 }

@@ -10,7 +10,7 @@ use tokio::sync::watch;
 use tokio_rustls::TlsAcceptor;
 
 use super::access::Access;
-use super::listen::{self, ConnectionContext};
+use super::listen::{self, ConnectionContext, MakesWay};
 use super::metrics::Metrics;
 use super::outbox::Outboxes;
 use super::slots::Slots;
@@ -30,23 +30,20 @@ pub(super) struct Listener {
 
 impl Listener {
     /// Binds the address of the settings, or `listen` in its place; relative paths begin at `folder`.
+    /// A `socket` that is given is open there already.
     pub(super) fn open(
         settings: &posed_stage::Server,
         listen: Option<String>,
+        socket: Option<&std::net::TcpListener>,
         folder: &Path,
     ) -> Result<Self, BindError> {
-        let listen = listen.or_else(|| settings.listen.clone()).unwrap_or_else(|| DEFAULT_LISTEN.into());
-        let addresses: Vec<SocketAddr> = match listen.to_socket_addrs() {
-            Ok(addresses) => addresses.collect(),
-            Err(error) => return Err(BindError::Address { listen, error }),
-        };
-        let open = addresses.iter().any(|address| !address.ip().is_loopback());
-        if open && settings.tokens.is_empty() {
-            return Err(BindError::NeedsToken { listen });
-        }
+        let (listen, addresses) = addresses(settings, listen)?;
         let tls = settings.tls.as_ref().map(|files| tls::acceptor(files, folder)).transpose()?;
-        let (listener, address) =
-            bind_first(&addresses).map_err(|error| BindError::Bind { listen: listen.clone(), error })?;
+        let bound = match socket {
+            Some(socket) => share(socket),
+            None => bind_first(&addresses),
+        };
+        let (listener, address) = bound.map_err(|error| BindError::Bind { listen: listen.clone(), error })?;
         let (report, shutdown) = watch::channel(false);
         let access = Access {
             tokens: settings.tokens.clone(),
@@ -64,6 +61,7 @@ impl Listener {
             slots,
             outboxes,
             shutdown,
+            makes_way: MakesWay::default(),
         };
         Ok(Self { listener, address, tls, report, context: Arc::new(context) })
     }
@@ -95,6 +93,46 @@ impl Listener {
         report.send_replace(true);
         let _ = tokio::time::timeout(SHUTDOWN_TIMEOUT, context.slots.all_free()).await;
     }
+}
+
+/// An open socket for one daemon after the other: who connects meanwhile waits.
+pub(crate) struct Socket {
+    pub(crate) listener: Arc<std::net::TcpListener>,
+    /// The address as it was given.
+    pub(crate) listen: String,
+}
+
+/// Binds the address of the settings, or `listen` in its place. Inside a tokio runtime.
+pub(crate) fn socket(settings: &posed_stage::Server, listen: Option<String>) -> Result<Socket, BindError> {
+    let (listen, addresses) = addresses(settings, listen)?;
+    let bound = bind_first(&addresses).and_then(|(listener, _)| listener.into_std());
+    match bound {
+        Ok(listener) => Ok(Socket { listener: Arc::new(listener), listen }),
+        Err(error) => Err(BindError::Bind { listen, error }),
+    }
+}
+
+/// Where to listen, as it is written and as addresses.
+fn addresses(
+    settings: &posed_stage::Server,
+    listen: Option<String>,
+) -> Result<(String, Vec<SocketAddr>), BindError> {
+    let listen = listen.or_else(|| settings.listen.clone()).unwrap_or_else(|| DEFAULT_LISTEN.into());
+    let addresses: Vec<SocketAddr> = match listen.to_socket_addrs() {
+        Ok(addresses) => addresses.collect(),
+        Err(error) => return Err(BindError::Address { listen, error }),
+    };
+    let open = addresses.iter().any(|address| !address.ip().is_loopback());
+    if open && settings.tokens.is_empty() {
+        return Err(BindError::NeedsToken { listen });
+    }
+    Ok((listen, addresses))
+}
+
+fn share(socket: &std::net::TcpListener) -> std::io::Result<(TcpListener, SocketAddr)> {
+    let listener = TcpListener::from_std(socket.try_clone()?)?;
+    let address = listener.local_addr()?;
+    Ok((listener, address))
 }
 
 pub(super) fn bind_first(addresses: &[SocketAddr]) -> std::io::Result<(TcpListener, SocketAddr)> {

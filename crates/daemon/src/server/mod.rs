@@ -68,6 +68,8 @@ pub use self::directory::fuzz_hub_message;
 pub use self::holding::Holding;
 pub use self::hub::{Hub, Item};
 pub use self::hub_server::{HubServer, StageEndpoint, StageRegistry};
+pub(crate) use self::listen::MakesWay;
+pub(crate) use self::listener::socket;
 pub use self::requests::{PendingCall, Refusal, Reply};
 pub(crate) use self::takes::{LetGo, Shelf, Take, TakeError};
 pub use self::tls::TlsError;
@@ -80,6 +82,8 @@ pub const DEFAULT_LISTEN: &str = "127.0.0.1:8787";
 pub struct Config {
     /// `HOST:PORT` instead of the stage file's; port 0 lets the system choose. Absent: the stage file's, else [`DEFAULT_LISTEN`].
     pub listen: Option<String>,
+    /// A socket that is open at that address already, in place of a new one.
+    pub socket: Option<Arc<std::net::TcpListener>>,
     /// Folder that relative paths of the stage file start from.
     pub folder: PathBuf,
     /// UTC of the stage's epoch, in nanoseconds since 1970.
@@ -103,6 +107,7 @@ impl Config {
     pub fn new(folder: &Path, epoch_utc_ns: i64) -> Self {
         Self {
             listen: None,
+            socket: None,
             folder: folder.into(),
             epoch_utc_ns,
             more_topics: Vec::new(),
@@ -289,7 +294,8 @@ impl Server {
         config: Config,
         sides: Sides,
     ) -> Result<(Self, Hub, mpsc::Receiver<PendingCall>), BindError> {
-        let listener = Listener::open(&stage.server, config.listen, &config.folder)?;
+        let listener =
+            Listener::open(&stage.server, config.listen, config.socket.as_deref(), &config.folder)?;
         let metrics = Arc::clone(&listener.context.metrics);
         let limits = listener.context.limits.clone();
         let topics = topics_of(stage, &config.more_topics);
@@ -342,6 +348,11 @@ impl Server {
         self.listener.url()
     }
 
+    /// Whether clients are told at the end that another stage follows.
+    pub(super) fn makes_way(&self) -> MakesWay {
+        self.listener.context.makes_way.clone()
+    }
+
     /// The newest status that clients have been sent.
     pub(super) fn status(&self) -> watch::Receiver<Status> {
         self.shared.reports.newest()
@@ -364,6 +375,12 @@ impl Server {
             let _ = others.await;
         }
     }
+}
+
+/// Whether the files that the server of a stage needs serve.
+pub(super) fn check_files(stage: &Stage, folder: &Path) -> Result<(), BindError> {
+    stage.server.tls.as_ref().map(|files| tls::acceptor(files, folder)).transpose()?;
+    Ok(())
 }
 
 /// What a stage publishes; `more` beside what its file specifies.

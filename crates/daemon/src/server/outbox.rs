@@ -22,6 +22,7 @@ pub(super) struct Close {
 
 impl Close {
     pub(super) const SHUTDOWN: Self = Self { code: 1001, reason: "the daemon is shutting down" };
+    pub(super) const RESTART: Self = Self { code: 1012, reason: "the stage has changed: connect again" };
     pub(super) const TOO_SLOW: Self = Self {
         code: 1008,
         reason: "too slow: events and replies have piled up; read faster or subscribe to less",
@@ -33,7 +34,7 @@ impl Close {
 
     /// Whether it is for what the client sent, not for what it did not read or answer.
     pub(super) fn is_breach(&self) -> bool {
-        ![Self::SHUTDOWN, Self::TOO_SLOW, Self::SILENT].contains(self)
+        ![Self::SHUTDOWN, Self::RESTART, Self::TOO_SLOW, Self::SILENT].contains(self)
     }
 }
 

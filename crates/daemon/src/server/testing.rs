@@ -6,7 +6,7 @@ use serde_json::Value;
 use tokio::sync::watch;
 
 use super::access::Access;
-use super::listen::ConnectionContext;
+use super::listen::{ConnectionContext, MakesWay};
 use super::metrics::Metrics;
 use super::outbox::{Outbox, Outboxes};
 use super::requests::Reply;
@@ -31,6 +31,7 @@ pub(super) fn context(limits: &Limits) -> Arc<ConnectionContext> {
         slots: Slots::new(limits),
         outboxes: Outboxes::new(limits),
         shutdown: watch::channel(false).1,
+        makes_way: MakesWay::default(),
     })
 }
 

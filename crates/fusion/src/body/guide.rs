@@ -218,9 +218,14 @@ impl Guide {
         (self.at, self.steps.len())
     }
 
+    /// The pose or movement that is to be done now; `None` once all is done.
+    pub fn step(&self) -> Option<BlockKind> {
+        self.steps.get(self.at).copied()
+    }
+
     /// What to do now, a sentence without a full stop; `None` once all is done.
     pub fn prompt(&self) -> Option<&'static str> {
-        self.steps.get(self.at).map(|kind| words(*kind))
+        self.step().map(words)
     }
 
     /// What contradicted the step that was to be the last, a sentence without a full stop; `None` where nothing did. With how many

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Digested, HealthHistory, Labels, Look, Removed, Renamed, Takes};
+use super::{Digested, HealthHistory, Labels, Look, Removed, Renamed, Setup, Takes};
 use posed_sessions::{Forgotten, Person, Plan, SessionId, SessionSummary};
 
 /// What a request was answered with; which one gets which: [`Answers`]. All others are answered with `ok` alone.
@@ -40,6 +40,8 @@ pub enum Answer {
     Demonstration(Demonstration),
     /// To `field.accept` and `field.rollback`.
     MapVersion(MapVersion),
+    /// To `setup.read`.
+    Setup(Box<Setup>),
     /// To `faults.name_cell`.
     KeptFile(KeptFile),
     /// To `session.begin`.
@@ -267,6 +269,10 @@ pub(crate) struct Answers {
     stage_align: Started,
     #[serde(rename = "imu.calibrate")]
     imu_calibrate: Started,
+    #[serde(rename = "setup.read")]
+    setup_read: Setup,
+    #[serde(rename = "setup.find")]
+    setup_find: Started,
     #[serde(rename = "session.begin")]
     session_begin: SessionBegun,
     #[serde(rename = "session.list")]

@@ -18,6 +18,7 @@ mod reply;
 mod segments;
 mod sensors;
 mod session;
+mod setup;
 mod stages;
 mod status;
 mod truth;
@@ -48,6 +49,9 @@ pub use self::reply::{ErrorReply, OkReply};
 pub use self::segments::SegmentBody;
 pub use self::sensors::{Change, Measured, Quality, SensorEntry, Sensors};
 pub use self::session::{PlanProgress, RunningSession, Sessions};
+pub use self::setup::{
+    Found, FoundPort, FoundSensor, Setup, SetupBody, SetupDevice, SetupProblem, SetupSensor,
+};
 pub use self::stages::{RelatedClock, StageEntry, StagePresence, Stages};
 pub use self::status::{
     DeviceStatus, LinkState, Problem, RecordingStatus, ReplayStatus, SensorStatus, StageLatency, Status,

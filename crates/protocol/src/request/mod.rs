@@ -14,6 +14,7 @@ use super::{Field, Topic};
 use posed_fusion::body::Thoroughness;
 use posed_fusion::faults::Class;
 use posed_sessions::{Plan, SessionId};
+use posed_stage::edit::Change;
 use posed_stage::input::Model;
 
 /// What a client calls its request; replies carry it.
@@ -458,6 +459,32 @@ pub enum Call {
     SessionDeletePlan {
         /// Its name.
         name: String,
+    },
+    /// Reads the stage file, as it would be with these changes, and says all that is wrong with it; nothing is written.
+    #[serde(rename = "setup.read")]
+    SetupRead {
+        /// Made one after the other; none: the file as it is.
+        #[serde(default)]
+        changes: Vec<Change>,
+    },
+    /// Writes changes into the stage file, keeps the file of before beside it (its name and `~`), and begins the changed stage: all
+    /// connections are closed with code 1012 and served again at once. Refused as `busy` while a recording or another job runs, as
+    /// `changed` where the file is not what was read, as `failed` where the stage could not run like this.
+    #[serde(rename = "setup.save")]
+    SetupSave {
+        /// Made one after the other.
+        changes: Vec<Change>,
+        /// The `revision` that `setup.read` gave.
+        revision: String,
+    },
+    /// Asks the ports that no device of the stage has what is there; a job, whose `result` (`Found`) grows as they answer. A unit that
+    /// streams is stopped by the question; nothing else is changed.
+    #[serde(rename = "setup.find")]
+    SetupFind {
+        /// Only this one: path of a serial port, tcp://HOST:PORT or udp://HOST:PORT; absent: all serial ports, and the units
+        /// that announce themselves on the network.
+        #[serde(default)]
+        port: Option<String>,
     },
     /// Cancels a job.
     #[serde(rename = "job.cancel")]

@@ -22,7 +22,7 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 48] = [
+const CALLS: [&str; 51] = [
     "record.start",
     "record.stop",
     "mark",
@@ -69,6 +69,9 @@ const CALLS: [&str; 48] = [
     "session.plans",
     "session.save_plan",
     "session.delete_plan",
+    "setup.read",
+    "setup.save",
+    "setup.find",
     "job.cancel",
     "model.load",
 ];
@@ -144,7 +147,7 @@ fn shortened(text: &str) -> String {
 
 /// Requests of every kind, for tests and as seeds of the fuzz target.
 #[doc(hidden)]
-pub const REQUEST_EXAMPLES: [&str; 51] = [
+pub const REQUEST_EXAMPLES: [&str; 54] = [
     r#"{"type":"subscribe","id":1,"topics":["sensors"],"max_rate_hz":30,"sensors":["a"],"fields":["raw"],"drop":"queue"}"#,
     r#"{"type":"unsubscribe","id":"x","topics":["status","body"]}"#,
     r#"{"type":"resume","id":1,"after":7}"#,
@@ -195,6 +198,9 @@ pub const REQUEST_EXAMPLES: [&str; 51] = [
     r#"{"type":"session.plans","id":1}"#,
     r#"{"type":"session.save_plan","id":1,"plan":{"name":"week 3","steps":[{"exercise":"curl","sets":3,"repetitions":8,"rest_s":60}]}}"#,
     r#"{"type":"session.delete_plan","id":1,"name":"week 3"}"#,
+    r#"{"type":"setup.read","id":1,"changes":[{"change":"set","table":"sensor","name":"a","key":"segment","value":"head"}]}"#,
+    r#"{"type":"setup.save","id":1,"changes":[{"change":"name_stage","name":"hall"}],"revision":"a1"}"#,
+    r#"{"type":"setup.find","id":1,"port":"tcp://10.0.0.7:7000"}"#,
     r#"{"type":"model.load","id":1,"model":{"kind":"transmitter","position_m":[0,0,1],"orientation_wxyz":[1,0,0,0]}}"#,
 ];
 

@@ -3,81 +3,82 @@
 use std::io;
 use std::time::Duration;
 
-use posed_daemon::StageClock;
-use posed_daemon::find::{self, Answer, Kind};
+use tokio::task::JoinSet;
+
+use super::{ANNOUNCED, Answer, Kind, announcements, ask, slimevr_trackers};
+use crate::clock::StageClock;
 use posed_drivers::flock::examine::Failure;
 use posed_drivers::port::{self, Options, PortError};
+use posed_protocol::{FoundPort, FoundSensor};
 
-use super::{PortReport, SensorReport};
-
+/// How long all questions together may take.
+pub const LIMIT: Duration = Duration::from_millis(18_500);
 /// Longest that one question to a line takes, a Flock's reset apart.
 const QUESTION: Duration = Duration::from_millis(1600);
 
 /// What to ask for.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Wanted {
-    /// At this line rate only.
-    pub(super) baud: Option<u32>,
+pub struct Wanted {
+    /// At this line rate only, bit/s.
+    pub baud: Option<u32>,
     /// For this kind only.
-    pub(super) kind: Option<Kind>,
+    pub kind: Option<Kind>,
 }
 
-/// Asks all ports side by side, none longer than `limit`; the reports keep the order of the ports.
-pub(super) async fn all(ports: Vec<String>, wanted: Wanted, limit: Duration) -> Vec<PortReport> {
-    let tasks: Vec<_> = ports
-        .into_iter()
-        .map(|port| {
-            let task = tokio::spawn({
-                let port = port.clone();
-                async move { tokio::time::timeout(limit, one(&port, wanted, limit)).await }
-            });
-            (port, task)
-        })
-        .collect();
-    let mut reports = Vec::new();
-    for (port, task) in tasks {
-        reports.push(match task.await {
-            Ok(Ok(report)) => report,
-            Ok(Err(_)) | Err(_) => PortReport {
-                port,
-                problem: Some("no answer in time".to_owned()),
-                fix: Some(
-                    "ask again at one rate with --baud RATE, or for one device with --driver".to_owned(),
-                ),
-                ..PortReport::default()
-            },
-        });
+/// Asks all ports side by side, none longer than `limit`; the reports keep the order of the ports. `each` gets the place of every one that
+/// has answered, and its report, as it comes.
+pub async fn ports(
+    ports: Vec<String>,
+    wanted: Wanted,
+    limit: Duration,
+    mut each: impl FnMut(usize, &FoundPort),
+) -> Vec<FoundPort> {
+    let late = |port: &String| FoundPort {
+        port: port.clone(),
+        problem: Some("no answer in time".to_owned()),
+        fix: Some("ask again at one rate with --baud RATE, or for one device with --driver".to_owned()),
+        ..FoundPort::default()
+    };
+    let mut reports: Vec<FoundPort> = ports.iter().map(late).collect();
+    let mut asked = JoinSet::new();
+    for (index, port) in ports.into_iter().enumerate() {
+        asked.spawn(async move { (index, tokio::time::timeout(limit, one(&port, wanted, limit)).await) });
+    }
+    while let Some(joined) = asked.join_next().await {
+        if let Ok((index, answered)) = joined {
+            if let Ok(report) = answered {
+                reports[index] = report;
+            }
+            each(index, &reports[index]);
+        }
     }
     reports
 }
 
 /// Units that announce themselves on the network, and trackers that look for a server.
-pub(super) async fn network() -> Vec<PortReport> {
-    let (units, trackers) = tokio::join!(
-        find::announcements(find::ANNOUNCED),
-        find::slimevr_trackers(find::ANNOUNCED + find::ANNOUNCED)
-    );
-    let mut reports: Vec<PortReport> = units
+pub async fn network() -> Vec<FoundPort> {
+    let (units, trackers) = tokio::join!(announcements(ANNOUNCED), slimevr_trackers(ANNOUNCED + ANNOUNCED));
+    let mut reports: Vec<FoundPort> = units
         .unwrap_or_default()
         .into_iter()
-        .map(|unit| PortReport {
+        .map(|unit| FoundPort {
             port: unit.port(),
             local_port: Some(unit.sends_to).filter(|port| *port > 0),
-            driver: Some("x-imu3"),
+            driver: Some("x-imu3".to_owned()),
             model: Some(format!("x-IMU3 {:?}", unit.name)),
-            sensors: vec![SensorReport { address: 0, serial: Some(unit.serial) }],
-            ..PortReport::default()
+            sensors: vec![FoundSensor { address: 0, serial: Some(unit.serial) }],
+            ..FoundPort::default()
         })
         .collect();
     // Where the port is taken, a server serves them already.
     let trackers = trackers.unwrap_or_default();
     if !trackers.is_empty() {
-        let sensors = (1..).zip(trackers).map(|(n, mac)| SensorReport { address: n, serial: Some(mac) });
-        reports.push(PortReport {
+        let sensors = (1..).zip(trackers).map(|(n, mac)| FoundSensor { address: n, serial: Some(mac) });
+        reports.push(FoundPort {
             port: "udp://0.0.0.0:6969".to_owned(),
-            driver: Some("slimevr"),
+            driver: Some("slimevr".to_owned()),
             sensors: sensors.collect(),
-            ..PortReport::default()
+            ..FoundPort::default()
         });
     }
     reports
@@ -110,7 +111,7 @@ fn questions(port: &str, wanted: Wanted) -> Vec<(Kind, u32)> {
 }
 
 /// Asks one port until something answers.
-async fn one(port: &str, wanted: Wanted, limit: Duration) -> PortReport {
+async fn one(port: &str, wanted: Wanted, limit: Duration) -> FoundPort {
     let questions = questions(port, wanted);
     let first = questions.first().map_or(115_200, |(_, baud)| *baud);
     let mut line = match port::open(port, Options::baud(first)).await {
@@ -125,7 +126,7 @@ async fn one(port: &str, wanted: Wanted, limit: Duration) -> PortReport {
             break;
         }
         let answer = match line.set_baud(baud) {
-            Ok(()) => find::ask(&mut line, kind, tried.is_empty()).await,
+            Ok(()) => ask(&mut line, kind, tried.is_empty()).await,
             Err(error) => Err(error),
         };
         match answer {
@@ -140,26 +141,26 @@ async fn one(port: &str, wanted: Wanted, limit: Duration) -> PortReport {
     nothing(port, &tried, failure)
 }
 
-fn found(port: &str, kind: Kind, baud: u32, answer: Answer) -> PortReport {
+fn found(port: &str, kind: Kind, baud: u32, answer: Answer) -> FoundPort {
     let identity = answer.identity;
     let sensors = identity.sensors.into_iter();
     let (problem, fix) = identity.problem.unzip();
-    PortReport {
+    FoundPort {
         port: port.to_owned(),
-        driver: Some(kind.word()),
+        driver: Some(kind.word().to_owned()),
         revision: identity.revision,
         model: identity.model,
         baud: (!port.contains("://")).then_some(baud),
         addressing: answer.addressing,
         rate_hz: identity.rate_hz,
-        sensors: sensors.map(|info| SensorReport { address: info.address, serial: info.serial }).collect(),
+        sensors: sensors.map(|info| FoundSensor { address: info.address, serial: info.serial }).collect(),
         problem,
         fix,
-        ..PortReport::default()
+        ..FoundPort::default()
     }
 }
 
-fn nothing(port: &str, tried: &[(Kind, u32)], failure: Failure) -> PortReport {
+fn nothing(port: &str, tried: &[(Kind, u32)], failure: Failure) -> FoundPort {
     let mut bauds: Vec<u32> = Vec::new();
     for (_, baud) in tried {
         if !bauds.contains(baud) {
@@ -192,15 +193,15 @@ fn nothing(port: &str, tried: &[(Kind, u32)], failure: Failure) -> PortReport {
             "check the line from the computer to the unit (pin 3 of the cable), and switch the unit off and on",
         ),
     };
-    PortReport {
+    FoundPort {
         port: port.to_owned(),
         problem: Some(problem),
         fix: Some(fix.to_owned()),
-        ..PortReport::default()
+        ..FoundPort::default()
     }
 }
 
-fn refused(port: &str, error: &PortError) -> PortReport {
+fn refused(port: &str, error: &PortError) -> FoundPort {
     let (problem, fix) = match error {
         PortError::Missing { .. } => (
             "there is no such port".to_owned(),
@@ -220,20 +221,20 @@ fn refused(port: &str, error: &PortError) -> PortReport {
             "there may be no hardware behind it; try another port",
         ),
     };
-    PortReport {
+    FoundPort {
         port: port.to_owned(),
         problem: Some(problem),
         fix: Some(fix.to_owned()),
-        ..PortReport::default()
+        ..FoundPort::default()
     }
 }
 
-fn lost(port: &str, error: &io::Error) -> PortReport {
-    PortReport {
+fn lost(port: &str, error: &io::Error) -> FoundPort {
+    FoundPort {
         port: port.to_owned(),
         problem: Some(format!("the port failed: {error}")),
         fix: Some("check the adapter and its cable; there may be no hardware behind this port".to_owned()),
-        ..PortReport::default()
+        ..FoundPort::default()
     }
 }
 
