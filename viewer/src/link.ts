@@ -6,6 +6,8 @@ import { DRAWN_HZ } from "./pace";
 const RETRY_MS = [500, 1000, 2000, 5000];
 /** What the views show of each sensor. */
 const FIELDS: Field[] = ["device", "position_m", "orientation_wxyz", "sigma_m", "measured", "fault", "change"];
+/** The code with which the daemon closes connections where its stage has changed. */
+const STAGE_CHANGED = 1012;
 const TOKEN_KEY = "posed.token";
 
 export type LinkState = "connecting" | "open" | "lost" | "unauthorised";
@@ -93,6 +95,12 @@ export class Link {
     socket.onclose = ({ code, reason }) => {
       this.waiting.forEach(({ reject }) => reject(new Refused("lost", "the connection broke before the answer")));
       this.waiting.clear();
+      // Another stage follows at the same address, and waits already.
+      if (code === STAGE_CHANGED) {
+        this.onState("connecting", reason);
+        setTimeout(() => this.connect(), 50);
+        return;
+      }
       void this.closed(greeted, reason || `connection lost (${code})`);
     };
   }

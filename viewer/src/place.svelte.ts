@@ -1,7 +1,7 @@
 // Which view is shown, as the address has it.
 
 /** In the order of the tabs: what somebody does, from seeing that it tracks to what was wrong. */
-export const VIEWS = ["watch", "calibrate", "coach", "exercise", "plan", "analyse", "takes", "check"] as const;
+export const VIEWS = ["watch", "setup", "calibrate", "coach", "exercise", "plan", "analyse", "takes", "check"] as const;
 /** The wall has no tab: nothing on it is to be pressed. */
 export type ViewName = (typeof VIEWS)[number] | "wall";
 

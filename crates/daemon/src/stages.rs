@@ -209,6 +209,9 @@ impl Running {
             };
             answered().await;
             daemon.make_way().await;
+            if stop.try_recv().is_ok() {
+                return;
+            }
             daemon = match self.next(changed) {
                 Ok(next) => next,
                 Err(error) => {

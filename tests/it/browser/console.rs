@@ -7,8 +7,8 @@ use crate::chromium::{self, Browser};
 use crate::daemon::process::Posed;
 
 /// The views, in the order of their tabs.
-pub(super) const VIEWS: [&str; 8] =
-    ["watch", "calibrate", "coach", "exercise", "plan", "analyse", "takes", "check"];
+pub(super) const VIEWS: [&str; 9] =
+    ["watch", "setup", "calibrate", "coach", "exercise", "plan", "analyse", "takes", "check"];
 
 /// Presses the button of a sensor in the rail.
 async fn press(browser: &mut Browser, sensor: &str) {
@@ -121,14 +121,15 @@ async fn language_and_light_are_chosen_and_stay() {
     done(browser, posed).await;
 }
 
-/// Puts axe into the page, once it is open.
-pub(super) async fn load_axe(browser: &mut Browser) {
+/// Gives the page axe, and has it stand still.
+pub(super) async fn prepare_for_axe(browser: &mut Browser) {
     let axe = concat!(env!("CARGO_MANIFEST_DIR"), "/viewer/node_modules/axe-core/axe.min.js");
     let axe = std::fs::read_to_string(axe).expect("the page's build has installed it");
     browser.value(&axe).await;
     // Colours that are still changing are none.
     let still = json!({"features": [{"name": "prefers-reduced-motion", "value": "reduce"}]});
     browser.call("Emulation.setEmulatedMedia", still).await;
+    assert_eq!(browser.value("typeof axe.run").await, Value::from("function"));
 }
 
 /// What axe finds on the page as it is, each with where.
@@ -148,8 +149,7 @@ async fn no_view_has_a_barrier_in_light_or_dark() {
     let posed = Posed::start(["demo"]);
     let mut browser = Browser::open(&format!("http://{}/", posed.address)).await;
     browser.until(LIVE).await;
-    load_axe(&mut browser).await;
-    assert_eq!(browser.value("typeof axe.run").await, Value::from("function"));
+    prepare_for_axe(&mut browser).await;
     for theme in ["dark", "light"] {
         browser.fill("#theme", theme).await;
         for view in VIEWS {

@@ -8,6 +8,7 @@ mod console;
 mod people;
 mod report;
 mod screens;
+mod setup;
 mod takes;
 mod timeline;
 mod trainer;

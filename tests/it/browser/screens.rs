@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use super::console::{barriers, load_axe};
+use super::console::{barriers, prepare_for_axe};
 use super::{LIVE, PAINTED, done};
 use crate::chromium::{self, Browser};
 use crate::daemon::process::Posed;
@@ -21,7 +21,7 @@ async fn the_wall_shows_large_numbers_and_nothing_to_press() {
     assert_eq!(browser.value(seen).await, 0);
     let large = "Math.min(...[...document.querySelectorAll('#wall .large')].map((each) => parseFloat(getComputedStyle(each).fontSize)))";
     assert!(browser.value(large).await.as_f64().unwrap() >= 48.0);
-    load_axe(&mut browser).await;
+    prepare_for_axe(&mut browser).await;
     assert_eq!(barriers(&mut browser).await, Vec::<String>::new());
     browser.call("Input.dispatchKeyEvent", json!({"type": "keyDown", "key": "Escape"})).await;
     browser

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use serde_json::json;
 
-use super::console::{barriers, load_axe};
+use super::console::{barriers, prepare_for_axe};
 use super::takes::record;
 use super::{LIVE, done};
 use crate::chromium::{self, Browser};
@@ -51,7 +51,7 @@ async fn a_take_is_played_scrubbed_and_looped_on_its_timeline() {
     // What was marked is in the list, and a key leads there.
     browser.click("items-open").await;
     browser.until("document.getElementById('items').textContent.includes('pain here')").await;
-    load_axe(&mut browser).await;
+    prepare_for_axe(&mut browser).await;
     assert_eq!(barriers(&mut browser).await, Vec::<String>::new());
     browser.value("document.getElementById('items-list').hidePopover()").await;
     // So slow that it does not end meanwhile; had it ended, it begins anew.
