@@ -26,6 +26,9 @@ const SWAY: usize = 7;
 const SWING_S: f64 = 5.0;
 /// For so long a way of moving stays, s.
 const SWAY_S: f64 = 30.0;
+/// Movements show a bias no better than this, rad/s: 0.1 deg/s, as in Laidig & Seel (2023). Where no field turns the heading back, one that is known better, as by
+/// a rest, is left as it is.
+const MOVING_BIAS_RAD_S: f64 = 1.75e-3;
 
 /// Noise that the inclination filter assumes (tilt, gyro bias, horizontal velocity); `docs/methods/orientation.md` has its
 /// equations.
@@ -168,12 +171,15 @@ impl Inclination {
             params.velocity_density_m_sqrt_s.powi(2) / w.duration_s
         };
         let lean = self.lean(w);
+        // Somebody who runs in a circle has a velocity that stays: what it leaves is no noise, and would be taken for a bias again and again.
+        let sigma_rad_s = (BIAS..VELOCITY).map(|i| self.p[(i, i)]).fold(0.0, f64::max).sqrt();
+        let considered = !w.has_field && !w.at_rest && sigma_rad_s < MOVING_BIAS_RAD_S;
         for row in Self::velocity(&lean) {
-            self.observe(&row, 0.0, r_velocity);
+            self.observe(&row, 0.0, r_velocity, considered);
         }
         if let Some(gyro) = w.rest_gyro_rad_s {
             for i in 0..3 {
-                self.observe(&[(BIAS + i, 1.0)], gyro[i], params.rest_gyro_sigma_rad_s.powi(2));
+                self.observe(&[(BIAS + i, 1.0)], gyro[i], params.rest_gyro_sigma_rad_s.powi(2), false);
             }
         }
         let tilt = Vector2::new(self.x[TILT], self.x[TILT + 1]);
@@ -268,8 +274,9 @@ impl Inclination {
         }
     }
 
-    /// A sum of states was measured as `z` with variance `r`.
-    fn observe(&mut self, row: &[(usize, f64)], z: f64, r: f64) {
+    /// A sum of states was measured as `z` with variance `r`. A bias that is `considered` stays, and so does what is known of it, though it may be what the measurement shows
+    /// (Schmidt's consider update).
+    fn observe(&mut self, row: &[(usize, f64)], z: f64, r: f64, considered: bool) {
         let mut ph = SVector::<f64, STATES>::zeros();
         let (mut innovation, mut variance) = (z, r);
         for &(i, h) in row {
@@ -279,11 +286,16 @@ impl Inclination {
         for &(i, h) in row {
             variance += h * ph[i];
         }
-        let gain = ph / variance;
+        let mut gain = ph / variance;
+        if considered {
+            gain.fixed_rows_mut::<3>(BIAS).fill(0.0);
+        }
         self.x += gain * innovation;
+        // P - K D' - D K' with D = P H' - K S / 2: of the best gain that is P - K H P.
+        let half = ph - gain * (0.5 * variance);
         for j in 0..STATES {
             for k in 0..STATES {
-                self.p[(k, j)] -= gain[k] * ph[j];
+                self.p[(k, j)] -= gain[k] * half[j] + half[k] * gain[j];
             }
         }
     }
@@ -331,7 +343,7 @@ mod tests {
                 let r = params.velocity_density_m_sqrt_s.powi(2) / w.duration_s;
                 for row in Inclination::velocity(&filter.lean(&w)) {
                     let seen: f64 = row.iter().map(|&(i, h)| h * truth.x[i]).sum();
-                    filter.observe(&row, seen + r.sqrt() * random.normal(), r);
+                    filter.observe(&row, seen + r.sqrt() * random.normal(), r, false);
                 }
                 let e = truth.x - filter.x;
                 e.dot(&filter.p.cholesky().unwrap().solve(&e))

@@ -439,3 +439,51 @@ fn a_heading_that_no_field_has_given_may_be_any_and_one_that_the_gyro_holds_grow
     go(&mut ahrs, false);
     assert!(given < 0.1 && heading_rad(&ahrs) > 1.2 * given, "{given} then {} rad", heading_rad(&ahrs));
 }
+
+/// Ten minutes of laps without a field, after a rest: who runs in a circle is accelerated inwards for as long, leans, and sways with every step.
+#[test]
+fn who_runs_in_laps_keeps_the_bias_that_a_rest_has_shown() {
+    let (mut ahrs, mut rest) = (Ahrs::new(params()), Simulation::new(0.0));
+    let bias = rest.bias;
+    for _ in 0..1000 {
+        let sample = rest.step();
+        ahrs.push(&ImuSample { mag: None, ..sample }, 1.0 / RATE_HZ);
+    }
+    let (speed_m_s, turns_rad_s) = (3.0, 0.15);
+    let posture = |t: f64| {
+        let sway = Vector3::new(
+            0.1 * libm::sin(9.0 * t),
+            0.15 + 0.05 * libm::sin(18.0 * t),
+            0.1 * libm::cos(9.0 * t),
+        );
+        so3::exp(&(Vector3::z() * turns_rad_s * t)) * so3::exp(&sway)
+    };
+    let before = ahrs.orientation_6d();
+    let start = posture(0.0);
+    let mut most_rad: f64 = 0.0;
+    for k in 1..=60_000 {
+        let t = f64::from(k) / RATE_HZ;
+        let [last, now] = [t - 1.0 / RATE_HZ, t].map(|t| rest.truth * start.inverse() * posture(t));
+        let gyro_rad_s = so3::log(&(last.inverse() * now)) * RATE_HZ;
+        let inwards = Vector3::new(-libm::sin(turns_rad_s * t), libm::cos(turns_rad_s * t), 0.0);
+        let steps = Vector3::z() * (GRAVITY_M_S2 + 3.0 * libm::sin(18.0 * t));
+        let sway = Vector3::new(libm::cos(turns_rad_s * t), libm::sin(turns_rad_s * t), 0.0)
+            * libm::sin(18.0 * t + 1.0);
+        let force = rest.truth * start.inverse() * (inwards * (speed_m_s * turns_rad_s) + steps + sway);
+        let sample = ImuSample {
+            gyro_rad_s: gyro_rad_s + bias + rest.noise(0.002),
+            accel_m_s2: now.inverse() * force + rest.noise(0.03),
+            mag: None,
+        };
+        ahrs.push(&sample, 1.0 / RATE_HZ);
+        let turned = now * rest.truth.inverse();
+        let error = ahrs.orientation_6d() * before.inverse() * turned.inverse();
+        most_rad = most_rad.max((2.0 * libm::atan(error.k / error.w)).abs());
+    }
+    println!(
+        "{:.2} deg, bias off {:.4}",
+        most_rad.to_degrees(),
+        (ahrs.bias_rad_s() - bias).norm().to_degrees()
+    );
+    assert!(most_rad < 5_f64.to_radians(), "{}", most_rad.to_degrees());
+}
