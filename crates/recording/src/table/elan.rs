@@ -22,12 +22,14 @@ pub fn read_elan_segments(path: &Path) -> Result<ElanSegments, TableError> {
 
 /// Says `label` of the time between, s, in the place of what was said of it; nothing where it is empty.
 pub fn relabel(segments: ElanSegments, from_s: f64, end_s: f64, label: &str) -> ElanSegments {
+    // Times in whole milliseconds, as the file has them: a remnant of less would be a segment without length in it.
+    let [from_s, end_s] = [from_s, end_s].map(|t_s| milliseconds(t_s) * 1e-3);
     let mut all = ElanSegments::new();
     for (known, known_from_s, known_end_s) in segments {
         for (from_s, end_s) in
             [(known_from_s, known_end_s.min(from_s)), (known_from_s.max(end_s), known_end_s)]
         {
-            if end_s > from_s {
+            if milliseconds(end_s) > milliseconds(from_s) {
                 all.push((known.clone(), from_s, end_s));
             }
         }
@@ -47,10 +49,13 @@ pub fn relabel(segments: ElanSegments, from_s: f64, end_s: f64, label: &str) -> 
     joined
 }
 
+fn milliseconds(t_s: f64) -> f64 {
+    (t_s * 1000.0).round()
+}
+
 /// The text of an annotation file with segments: label, beginning and end, s since the sequence's first frame. Times are rounded
 /// to whole milliseconds, as the format has them.
 pub fn write_elan<'a>(segments: impl IntoIterator<Item = (&'a str, f64, f64)>) -> String {
-    let milliseconds = |t_s: f64| (t_s * 1000.0).round();
     let (mut slots, mut annotations) = (String::new(), String::new());
     for (number, (label, first, end)) in segments.into_iter().enumerate() {
         let (a, b) = (2 * number + 1, 2 * number + 2);
@@ -192,5 +197,7 @@ mod tests {
         assert_eq!(relabel(bent.clone(), 3.0, 12.0, ""), said(&[("walk", 0.0, 3.0)]));
         assert_eq!(relabel(bent, -1.0, 20.0, "rest"), said(&[("rest", -1.0, 20.0)]));
         assert_eq!(relabel(Vec::new(), 1.0, 2.0, "rest"), said(&[("rest", 1.0, 2.0)]));
+        // A remnant that the file could not hold.
+        assert_eq!(relabel(said(&[("walk", 0.0, 7.208)]), 0.0, 7.2077, ""), []);
     }
 }
