@@ -15,8 +15,8 @@ const BEFORE_S: f64 = 20.0;
 const AFTER_S: f64 = 30.0;
 /// A joint that is wrong by less has been put right, degrees.
 const RIGHT_DEG: f64 = 6.0;
-/// A mounting that is said to be known no better than this is said not to be known, root mean square about an axis, degrees.
-const UNKNOWN_DEG: f64 = 10.0;
+/// A joint that is wrong by no more standard deviations than this of the mounting is said to be so.
+const SAID: f64 = 2.0;
 const ACTIVITIES: [Activity; 5] =
     [Activity::Walking, Activity::Strolling, Activity::Reaching, Activity::Curls, Activity::Squats];
 /// In the order of the table's columns.
@@ -183,10 +183,11 @@ fn slip(activity: Activity, seed: u64, segment: BodySegment, turned: Vector3<f64
         let expected = truth[parent.index()].inverse() * truth[segment.index()];
         square += found.angle_to(&expected).to_degrees().powi(2) / (5.0 * RATE_HZ);
     }
-    let said_deg = filter.learnt()[segment.index()]?.mounting_sigma_rad.to_degrees();
+    // All three axes.
+    let said_deg = filter.learnt()[segment.index()]?.mounting_sigma_rad.to_degrees() * 3_f64.sqrt();
     Some(match square.sqrt() {
         off_deg if off_deg < RIGHT_DEG => Slip::Right,
-        _ if misfits > 0 || said_deg > UNKNOWN_DEG => Slip::Named,
+        off_deg if misfits > 0 || off_deg < SAID * said_deg => Slip::Named,
         off_deg => Slip::Wrong(off_deg),
     })
 }

@@ -108,8 +108,12 @@ pub(super) struct LimbFilter {
     offsets_rad_s: [Vector3<f64>; 2],
     /// For so long both of its sensors have said otherwise, s.
     astray_s: f64,
-    /// For so long the sensor of the upper and of the lower segment has not fitted, s; negative: so long is waited after a strap was taken for slipped.
+    /// For so long the sensor of the upper and of the lower segment has not fitted, s.
     loose_s: [f64; 2],
+    /// Since a strap was taken for slipped, s, until it is known again how both sensors sit.
+    mending_s: Option<f64>,
+    /// Whether it was found once, and is found anew from there.
+    found_once: bool,
     /// Whether a strap was ever taken for slipped: what is learnt since is no error of the pose.
     slipped: bool,
     filter: Filter,
@@ -131,6 +135,8 @@ impl LimbFilter {
             offsets_rad_s: [Vector3::zeros(); 2],
             astray_s: 0.0,
             loose_s: [0.0; 2],
+            mending_s: None,
+            found_once: false,
             slipped: false,
             filter: Filter::Waiting,
         }
@@ -196,26 +202,52 @@ impl LimbFilter {
     /// The sensor of the upper (0) or lower (1) segment does not fit, or does, for `dt_s`.
     pub(super) fn watch(&mut self, which: usize, misfit: bool, dt_s: f64) {
         let loose_s = &mut self.loose_s[which];
-        *loose_s = if misfit || *loose_s < 0.0 { *loose_s + dt_s } else { 0.0 };
-        if *loose_s > LOOSE_S {
-            *loose_s = -PATIENCE_S;
-            self.slipped = true;
-            // An elbow, which has two axes, does not show which of its two sensors it is.
-            let arm = matches!(self.limb, Limb::ArmR | Limb::ArmL);
-            for loose in (0..2).filter(|one| arm || *one == which) {
-                with_limb!(&mut self.filter, (), limb => limb.loosen(loose));
+        *loose_s = if misfit { *loose_s + dt_s } else { 0.0 };
+        let slipped = *loose_s > LOOSE_S || with_limb!(&self.filter, false, limb => limb.slipped());
+        match &mut self.mending_s {
+            None if slipped => self.loosen(),
+            None => {}
+            Some(mending_s) => {
+                *mending_s += dt_s;
+                let after_s = *mending_s;
+                // What it showed before it was found how the sensors sit now, the limb finds no way back from.
+                if self.is_found() {
+                    if self.found_once {
+                        self.mending_s = None;
+                    } else {
+                        self.geometry = with_limb!(&self.filter, self.geometry, limb => limb.found_once());
+                    }
+                    self.found_once = !self.found_once;
+                    self.restart();
+                } else if slipped && after_s > 2.0 * PATIENCE_S {
+                    self.loosen();
+                }
             }
-        } else if *loose_s < 0.0 && self.geometry.mount_sigma_rad[which].norm() < FOUND_RAD {
-            // What it showed before it was found how the sensor sits now, the limb finds no way back from.
-            *loose_s = 0.0;
-            self.restart();
         }
+    }
+
+    /// A strap was taken for slipped.
+    fn loosen(&mut self) {
+        (self.loose_s, self.mending_s, self.slipped) = ([0.0; 2], Some(0.0), true);
+        self.found_once = false;
+        with_limb!(&mut self.filter, (), limb => limb.loosen());
+        with_limb!(&self.filter, (), limb => self.geometry = *limb.geometry());
+    }
+
+    /// Whether it is known again how both sensors sit. How one is turned about the forearm never shows.
+    fn is_found(&self) -> bool {
+        let arm = matches!(self.limb, Limb::ArmR | Limb::ArmL);
+        let [upper, mut lower] = self.geometry.mount_sigma_rad;
+        if arm {
+            lower.y = 0.0;
+        }
+        upper.norm().max(lower.norm()) < FOUND_RAD
     }
 
     /// Its sensors sit otherwise than was said: begins anew.
     pub(super) fn remount(&mut self, skeleton: &Skeleton, mounts: &[Option<SensorMount>; SEGMENTS]) {
         self.geometry = LimbGeometry::of(self.limb, skeleton, mounts);
-        self.loose_s = [0.0; 2];
+        (self.loose_s, self.mending_s) = ([0.0; 2], None);
         self.slipped = false;
         self.restart();
     }

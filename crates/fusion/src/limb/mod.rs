@@ -17,6 +17,7 @@ mod chain;
 mod covariance;
 mod joint;
 mod parameters;
+mod slip;
 #[cfg(test)]
 mod tests;
 mod update;
@@ -197,7 +198,8 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
                 sigmas[at + 2 * k + i] = 10.0;
             }
         }
-        let learning = Learning::of(&geometry);
+        // Of a forearm: two axes.
+        let learning = Learning::of(&geometry, D == 2);
         Self {
             geometry,
             noise,
@@ -223,9 +225,12 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         dt_s: f64,
     ) -> [SensorReport; 2] {
         self.predict(dt_s);
-        let learns = self.learning.as_mut().is_some_and(|learning| learning.predict(dt_s));
+        let learns = self.learning.as_mut().is_some_and(|learning| learning.predict(&self.geometry, dt_s));
         let upper = self.observe(Which::Upper, base, field, samples.upper.as_ref(), learns, dt_s);
         let lower = self.observe(Which::Lower, base, field, samples.lower.as_ref(), learns, dt_s);
+        if learns {
+            self.decide();
+        }
         self.keep_limits();
         [upper, lower]
     }
@@ -262,13 +267,32 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         &self.geometry
     }
 
-    /// The strap of the upper (0) or the lower (1) sensor has slipped: how it sits is found anew. Where the geometry was given as exact nothing changes.
-    pub fn loosen(&mut self, which: usize) {
-        let which = if which == 0 { Which::Upper } else { Which::Lower };
+    /// A strap has slipped: how both sensors sit is found anew, until it shows which of them held. Where the geometry was given as exact nothing changes.
+    pub fn loosen(&mut self) {
         if let Some(learning) = &mut self.learning {
-            learning.loosen(which);
-            self.geometry.mount_sigma_rad[which as usize] = learning.mount_sigma_rad(which);
+            learning.loosen(&mut self.geometry);
+            self.geometry.mount_sigma_rad = learning.mount_sigmas_rad();
         }
+    }
+
+    /// Whether a strap has slipped: what the limb's movements show is far likelier so.
+    pub fn slipped(&self) -> bool {
+        self.learning.as_ref().is_some_and(Learning::slipped)
+    }
+
+    /// The geometry to begin anew with where a strap has slipped: how the sensors sit as it was found, and that this is all but unknown.
+    pub fn found_once(&self) -> LimbGeometry {
+        let sigmas = self.learning.as_ref().map(Learning::anew);
+        LimbGeometry { mount_sigma_rad: sigmas.unwrap_or(self.geometry.mount_sigma_rad), ..self.geometry }
+    }
+
+    /// Of a strap that has slipped it may show which one it was.
+    fn decide(&mut self) {
+        let Some(learning) = &mut self.learning else { return };
+        let Some(moved) = learning.decide(&self.geometry) else { return };
+        self.geometry.correct(&moved);
+        self.geometry.mount_sigma_rad = learning.mount_sigmas_rad();
+        self.correct(&(self.p.by_parameters.transpose() * moved));
     }
 
     /// Standard deviation of the upper segment's length, m; `None` where the geometry was given as exact.

@@ -8,11 +8,12 @@
 //! its states is by each of them, so that what it cannot predict shows them. The parameters believe a sample for every [`CORRELATED_S`] only: a soft strap
 //! and a joint that is no exact hinge are wrong in the same way throughout a movement, and are no noise that the next sample makes good.
 
-use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, UnitQuaternion, Vector3};
 use posed_geometry::so3::{exp, hat};
 use posed_state::Plain;
 
 use super::covariance::{Innovation, inverse_of};
+use super::slip::{Held, Slips};
 use super::wide::subtract_both;
 use super::{LimbGeometry, Which};
 
@@ -40,12 +41,16 @@ const WALK_RAD_PER_SQRT_S: f64 = 1.1e-3;
 
 /// How far a strap that slips turns a sensor about the segment's axes, standard deviation, rad: y runs along the segment.
 const SLIPPED_RAD: [f64; 3] = [0.26, 0.7, 0.26];
+/// So long after a strap has slipped the limb's states are still on their way, and show not yet which one it was, s.
+const DECIDED_S: f64 = 3.0;
+/// A strap that slips is noticed sooner than this, s: before it the geometry was as it should be.
+const KEPT_S: f64 = 5.0;
 
 /// How a measurement depends on the parameters: one row each, one column per measured number.
 pub(super) type ByParameters<const M: usize> = SMatrix<f64, PARAMETERS, M>;
 
 /// Where the mounting of a sensor begins, and its place.
-fn mount(which: Which) -> usize {
+pub(super) fn mount(which: Which) -> usize {
     3 * which as usize
 }
 fn place(which: Which) -> usize {
@@ -57,13 +62,25 @@ fn place(which: Which) -> usize {
 pub(super) struct Learning {
     /// Covariance of their errors.
     p: SMatrix<f64, PARAMETERS, PARAMETERS>,
+    /// Whether the lower segment turns about itself, as a forearm does: how its sensor is turned about it never shows.
+    turns: bool,
     /// Since a sample was looked at, s.
     since_s: f64,
+    /// Whether a strap has slipped.
+    slips: Slips,
+    /// How the sensors sat before one slipped, until it is known which, and since when, s.
+    before: Option<Held>,
+    loose_s: f64,
+    /// Which of the sensors may have slipped.
+    slipped: [bool; 2],
+    /// The geometry of some seconds ago, older and newer, and when that was kept, s.
+    kept: [LimbGeometry; 2],
+    kept_s: f64,
 }
 
 impl Learning {
     /// Of a geometry whose mountings are known to `mount_sigma_rad`; `None` where they are exact, as all else is then.
-    pub(super) fn of(geometry: &LimbGeometry) -> Option<Self> {
+    pub(super) fn of(geometry: &LimbGeometry, turns: bool) -> Option<Self> {
         if geometry.mount_sigma_rad.iter().all(|sigma| sigma.norm() == 0.0) {
             return None;
         }
@@ -77,17 +94,33 @@ impl Learning {
             let shared = POSE_SHARED * sigmas[upper] * sigmas[lower];
             (p[(upper, lower)], p[(lower, upper)]) = (shared, shared);
         }
-        Some(Self { p, since_s: 0.0 })
+        Some(Self {
+            p,
+            turns,
+            since_s: 0.0,
+            slips: Slips::default(),
+            before: None,
+            loose_s: 0.0,
+            slipped: [false; 2],
+            kept: [*geometry; 2],
+            kept_s: 0.0,
+        })
     }
 
     /// Moves on by `dt_s`; whether the samples of this time are looked at.
-    pub(super) fn predict(&mut self, dt_s: f64) -> bool {
+    pub(super) fn predict(&mut self, geometry: &LimbGeometry, dt_s: f64) -> bool {
+        self.kept_s += dt_s;
+        if self.kept_s >= KEPT_S {
+            (self.kept, self.kept_s) = ([self.kept[1], *geometry], 0.0);
+        }
         for i in 0..6 {
             // What was given as exact stays so.
             if self.p[(i, i)] > 0.0 {
                 self.p[(i, i)] += WALK_RAD_PER_SQRT_S * WALK_RAD_PER_SQRT_S * dt_s;
             }
         }
+        self.slips.forget(dt_s);
+        self.loose_s += dt_s;
         self.since_s += dt_s;
         let due = self.since_s >= PERIOD_S;
         if due {
@@ -96,14 +129,47 @@ impl Learning {
         due
     }
 
-    /// A strap has slipped: nothing is known any more of how the sensor sits, but that straps turn about the segment sooner than they tilt.
-    pub(super) fn loosen(&mut self, which: Which) {
-        let at = mount(which);
-        self.p.fixed_rows_mut::<3>(at).fill(0.0);
-        self.p.fixed_columns_mut::<3>(at).fill(0.0);
-        for (i, sigma_rad) in SLIPPED_RAD.into_iter().enumerate() {
-            self.p[(at + i, at + i)] = sigma_rad * sigma_rad;
+    /// A strap has slipped, and nobody knows which: nothing is known any more of how either sensor sits, but that straps turn about the segment sooner than they tilt.
+    /// What was learnt while it slipped is forgotten.
+    pub(super) fn loosen(&mut self, geometry: &mut LimbGeometry) {
+        *geometry = self.kept[0];
+        self.before.get_or_insert_with(|| Held::of(geometry, &self.p));
+        (self.loose_s, self.slipped) = (0.0, [true; 2]);
+        self.p.fixed_rows_mut::<6>(0).fill(0.0);
+        self.p.fixed_columns_mut::<6>(0).fill(0.0);
+        for (i, sigma_rad) in SLIPPED_RAD.into_iter().cycle().take(6).enumerate() {
+            self.p[(i, i)] = sigma_rad * sigma_rad;
         }
+        self.slips = Slips::default();
+    }
+
+    /// Once the movements since a strap slipped show which one held: its mounting is again what it was. The correction.
+    pub(super) fn decide(&mut self, geometry: &LimbGeometry) -> Option<SVector<f64, PARAMETERS>> {
+        let before = self.before.as_ref().filter(|_| self.loose_s > DECIDED_S)?;
+        let (which, by, noise) = before.held(geometry, &self.p)?;
+        self.before = None;
+        self.slipped[which as usize] = false;
+        let cross = self.p.fixed_columns::<3>(mount(which)).into_owned();
+        let covariance = cross.fixed_rows::<3>(mount(which)) + noise;
+        let gain = cross * inverse_of(covariance)?;
+        let half = cross - gain * (covariance * 0.5);
+        subtract_both(&mut self.p, &gain, &half);
+        self.slips = Slips::default();
+        Some(gain * by)
+    }
+
+    /// How well it would be known how the sensors sit if nothing had been seen since a strap slipped, rad: where they sit now was found by steps that were linear
+    /// in what they began with, far from it, and made believe too much.
+    pub(super) fn anew(&self) -> [Vector3<f64>; 2] {
+        let now = self.mount_sigmas_rad();
+        [0, 1].map(|k| if self.slipped[k] { Vector3::from(SLIPPED_RAD) } else { now[k] })
+    }
+
+    /// Whether a strap has slipped, as far as what could not be predicted shows it.
+    pub(super) fn slipped(&self) -> bool {
+        let known: Matrix6<f64> = self.p.fixed_view::<6, 6>(0, 0).into_owned();
+        let slipped = Vector3::from(SLIPPED_RAD.map(|sigma_rad| sigma_rad * sigma_rad));
+        self.slips.found(&known, &slipped)
     }
 
     /// The correction that a residual shows.
@@ -115,12 +181,22 @@ impl Learning {
     ) -> SVector<f64, PARAMETERS> {
         let by = &innovation.by_parameters;
         let cross = self.p * by;
-        let covariance = innovation.covariance(noise) * (CORRELATED_S / PERIOD_S) + by.transpose() * cross;
+        let own = innovation.covariance(noise) * (CORRELATED_S / PERIOD_S);
+        let covariance = own + by.transpose() * cross;
         let Some(inverse) = inverse_of(covariance) else { return SVector::zeros() };
-        let gain = cross * inverse;
+        if let Some(own) = inverse_of(own) {
+            self.slips.add(&by.fixed_rows::<6>(0).into_owned(), &own, residual);
+        }
+        let mut gain = cross * inverse;
+        if self.turns {
+            // It is one with how far the segment has turned: what seems to show it is the error of something else (Schmidt's consider update).
+            gain.row_mut(mount(Which::Lower) + 1).fill(0.0);
+        }
         let half = cross - gain * (covariance * 0.5);
         subtract_both(&mut self.p, &gain, &half);
-        gain * residual
+        let moved = gain * residual;
+        self.slips.moved(&moved.fixed_rows::<6>(0).into_owned());
+        moved
     }
 
     /// What they make the covariance of some states larger by, of which these are the sensitivities.
@@ -128,10 +204,12 @@ impl Learning {
         by.transpose() * self.p * by
     }
 
-    /// Standard deviation of a mounting about the segment's axes, rad.
-    pub(super) fn mount_sigma_rad(&self, which: Which) -> Vector3<f64> {
-        let at = mount(which);
-        Vector3::from_fn(|i, _| self.p[(at + i, at + i)].max(0.0).sqrt())
+    /// Standard deviations of both mountings about the segment's axes, rad.
+    pub(super) fn mount_sigmas_rad(&self) -> [Vector3<f64>; 2] {
+        [Which::Upper, Which::Lower].map(|which| {
+            let at = mount(which);
+            Vector3::from_fn(|i, _| self.p[(at + i, at + i)].max(0.0).sqrt())
+        })
     }
 
     /// Standard deviation of the length of the upper segment, m.

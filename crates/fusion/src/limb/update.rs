@@ -295,8 +295,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
             if !relinearise || pass == 2 {
                 if let Some(learning) = learning {
                     self.geometry.correct(&moved);
-                    self.geometry.mount_sigma_rad =
-                        [Which::Upper, Which::Lower].map(|which| learning.mount_sigma_rad(which));
+                    self.geometry.mount_sigma_rad = learning.mount_sigmas_rad();
                     self.learning = Some(learning);
                 }
                 // The innovation's excess over what was predicted, slowly, as a factor on the noise.
