@@ -60,8 +60,13 @@ async fn a_take_is_played_scrubbed_and_looped_on_its_timeline() {
     browser.click("play").await;
     browser.until("document.getElementById('link').textContent === 'paused'").await;
     browser.value("document.getElementById('timeline').focus()").await;
-    press(&mut browser, "Home").await;
-    browser.until("document.getElementById('timeline').ariaValueNow === '0'").await;
+    // A take that ended before it was slowed begins anew when it is played, and may arrive after the key.
+    browser
+        .until(
+            "(({ ariaValueNow }, home) => ariaValueNow === '0' || (document.activeElement.dispatchEvent(home), false))(\
+             document.getElementById('timeline'), new KeyboardEvent('keydown', { key: 'Home', bubbles: true }))",
+        )
+        .await;
     press(&mut browser, "m").await;
     browser.until("document.getElementById('timeline').ariaValueNow > 1").await;
 
