@@ -1,7 +1,7 @@
 //! Changes of a stage file that keep its comments and its order.
 //!
 //! What comes in: the text of a stage file, and changes of its devices, sensors and bodies. What goes out: the changed text; which device,
-//! sensor or body a line is about. What it never does: look at whether the result is right ([`check`](super::check) does), or change who may
+//! sensor or body a line is about. What it never does: look at whether the result is right ([`check`](super::check()) does), or change who may
 //! look and which programs and files the daemon loads: that is for those who may write the file itself.
 
 use schemars::JsonSchema;
