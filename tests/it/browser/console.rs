@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::{LIVE, PAINTED, done};
+use super::{LIVE, PAINTED, demo, done};
 use crate::chromium::{self, Browser};
 use crate::daemon::process::Posed;
 
@@ -33,13 +33,7 @@ async fn click_at(browser: &mut Browser, (right, down): (f64, f64)) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_chosen_in_one_place_is_chosen_in_all_and_measured_marked_and_kept() {
-    if !chromium::is_wanted() {
-        return;
-    }
-    let folder = tempfile::tempdir().unwrap();
-    posed_rig::copy_demo(folder.path());
-    let posed = Posed::demo_that_keeps(&folder.path().join("demo.toml"));
-    let mut browser = Browser::open(&format!("http://{}/", posed.address)).await;
+    let Some((_folder, posed, mut browser)) = demo().await else { return };
     browser.until(LIVE).await;
     press(&mut browser, "wand").await;
     browser.click("tab-analyse").await;

@@ -20,6 +20,18 @@ use serde_json::json;
 use crate::chromium::{self, Browser};
 use crate::daemon::process::{Posed, two_devices};
 
+/// A demo that keeps what it records, in a folder of its own, and its page; `None` where no browser is wanted.
+async fn demo() -> Option<(tempfile::TempDir, Posed, Browser)> {
+    if !chromium::is_wanted() {
+        return None;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    posed_rig::copy_demo(folder.path());
+    let posed = Posed::demo_that_keeps(&folder.path().join("demo.toml"));
+    let browser = Browser::open(&format!("http://{}/", posed.address)).await;
+    Some((folder, posed, browser))
+}
+
 /// The page has complained about nothing, and the daemon ends as it should.
 async fn done(browser: Browser, posed: Posed) {
     assert_eq!(browser.complaints, Vec::<String>::new());

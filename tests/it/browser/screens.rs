@@ -3,7 +3,7 @@
 use serde_json::json;
 
 use super::console::{barriers, prepare_for_axe};
-use super::{LIVE, PAINTED, done};
+use super::{LIVE, PAINTED, demo, done};
 use crate::chromium::{self, Browser};
 use crate::daemon::process::Posed;
 
@@ -35,13 +35,7 @@ async fn the_wall_shows_large_numbers_and_nothing_to_press() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_phone_starts_stops_and_marks() {
-    if !chromium::is_wanted() {
-        return;
-    }
-    let folder = tempfile::tempdir().unwrap();
-    posed_rig::copy_demo(folder.path());
-    let posed = Posed::demo_that_keeps(&folder.path().join("demo.toml"));
-    let mut browser = Browser::open(&format!("http://{}/", posed.address)).await;
+    let Some((_folder, posed, mut browser)) = demo().await else { return };
     let phone = json!({"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": true});
     browser.call("Emulation.setDeviceMetricsOverride", phone).await;
     browser.until(LIVE).await;

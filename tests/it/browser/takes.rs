@@ -2,9 +2,8 @@
 
 use std::time::Duration;
 
-use super::{LIVE, done};
-use crate::chromium::{self, Browser};
-use crate::daemon::process::Posed;
+use super::{LIVE, demo, done};
+use crate::chromium::Browser;
 
 /// Records `take-01.mcap` for some seconds, with a mark in the middle.
 pub(super) async fn record(browser: &mut Browser, mark: &str) {
@@ -43,13 +42,7 @@ async fn fetched(browser: &mut Browser, link: &str) -> u64 {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_take_is_found_named_exported_binned_and_brought_back() {
-    if !chromium::is_wanted() {
-        return;
-    }
-    let folder = tempfile::tempdir().unwrap();
-    posed_rig::copy_demo(folder.path());
-    let posed = Posed::demo_that_keeps(&folder.path().join("demo.toml"));
-    let mut browser = Browser::open(&format!("http://{}/", posed.address)).await;
+    let Some((_folder, posed, mut browser)) = demo().await else { return };
     browser.until(LIVE).await;
     browser.click("tab-takes").await;
     browser.until("document.getElementById('takes').textContent.includes('No take yet')").await;

@@ -6,9 +6,8 @@ use serde_json::json;
 
 use super::console::{barriers, prepare_for_axe};
 use super::takes::record;
-use super::{LIVE, done};
-use crate::chromium::{self, Browser};
-use crate::daemon::process::Posed;
+use super::{LIVE, demo, done};
+use crate::chromium::Browser;
 
 /// Presses the button of a speed.
 pub(super) async fn press_speed(browser: &mut Browser, words: &str) {
@@ -33,13 +32,7 @@ async fn stands_s(browser: &mut Browser) -> f64 {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_take_is_played_scrubbed_and_looped_on_its_timeline() {
-    if !chromium::is_wanted() {
-        return;
-    }
-    let folder = tempfile::tempdir().unwrap();
-    posed_rig::copy_demo(folder.path());
-    let posed = Posed::demo_that_keeps(&folder.path().join("demo.toml"));
-    let mut browser = Browser::open(&format!("http://{}/", posed.address)).await;
+    let Some((_folder, posed, mut browser)) = demo().await else { return };
     browser.until(LIVE).await;
     record(&mut browser, "pain here").await;
     let take = format!("http://{}/takes/take-01.mcap/#check", posed.address);
@@ -60,13 +53,12 @@ async fn a_take_is_played_scrubbed_and_looped_on_its_timeline() {
     browser.click("play").await;
     browser.until("document.getElementById('link').textContent === 'paused'").await;
     browser.value("document.getElementById('timeline').focus()").await;
-    // A take that ended before it was slowed begins anew when it is played, and may arrive after the key.
-    browser
-        .until(
-            "(({ ariaValueNow }, home) => ariaValueNow === '0' || (document.activeElement.dispatchEvent(home), false))(\
-             document.getElementById('timeline'), new KeyboardEvent('keydown', { key: 'Home', bubbles: true }))",
-        )
-        .await;
+    press(&mut browser, "Home").await;
+    browser.until("document.getElementById('timeline').ariaValueNow === '0'").await;
+    // And stays there, also when the pipeline has arrived.
+    browser.until("document.getElementById('jobs').textContent.includes('replay.seek')").await;
+    browser.pause(Duration::from_secs(1)).await;
+    assert_eq!(stands_s(&mut browser).await, 0.0);
     press(&mut browser, "m").await;
     browser.until("document.getElementById('timeline').ariaValueNow > 1").await;
 

@@ -41,7 +41,7 @@ class Player {
         this.again(message.t_s);
         if (jump && Math.abs(message.t_s - jump.to_s) < THERE_S) this.jump = { ...jump, arrived: true };
       }
-      if (jump && (message.type === "jobs" || message.type === "sensors")) this.land();
+      if (jump && (message.type === "jobs" || message.type === "sensors")) this.land(message.type === "sensors");
     });
   }
 
@@ -103,7 +103,7 @@ class Player {
       const { job } = await link.request({ type: "replay.seek", t_s });
       if (this.jump?.to_s !== t_s) return;
       this.jump = { ...this.jump, job };
-      this.land();
+      this.land(false);
     } catch (error) {
       this.arrive();
       throw error;
@@ -154,12 +154,12 @@ class Player {
     this.seek(loop.from_s).catch(() => (this.loops = false));
   }
 
-  /** Whether the jump is over: its job has ended, and a frame has come from there or none will. */
-  private land(): void {
+  /** Whether the jump is over: its job has ended, and a frame has come from there. In a pause none may come: what is looked at stays until it is played. */
+  private land(isFrame: boolean): void {
     const { jump } = this;
     if (!jump) return;
     const job = model.jobs?.jobs.find((each) => each.job === jump.job);
-    if (job && job.state !== "running" && (jump.arrived || this.replay?.speed === 0 || job.state !== "done")) this.arrive();
+    if (job && job.state !== "running" && (jump.arrived || isFrame || job.state !== "done")) this.arrive();
   }
 
   private arrive(): void {
