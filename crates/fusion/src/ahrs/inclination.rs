@@ -11,7 +11,7 @@
 //!
 //! A bias about the vertical is seen only as the sensor leans: it then tilts, across to the lean. Somebody who sways in step
 //! with what a limb does (every step of a walk) has a velocity of that very kind, and would be taken for such a bias; the sway is a
-//! state, by which the two are told apart where that can be.
+//! state, by which the two are distinguished where that can be.
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use posed_state::Plain;

@@ -25,7 +25,7 @@ const ASTRAY_RAD: f64 = 0.5;
 const ASTRAY_S: f64 = 1.0;
 /// A sensor that does not fit for so long, s, has slipped; then so long is waited for what its movements show.
 const LOOSE_S: f64 = 0.5;
-const PATIENCE_S: f64 = 10.0;
+const PATIENCE_S: f64 = 20.0;
 /// A mounting that is known so well again has been found, rad.
 const FOUND_RAD: f64 = 0.12;
 /// Elbow: flexion, pronation; knee: flexion; degrees. Some degrees beyond the anatomy of algorithms as written, because the
@@ -96,6 +96,15 @@ macro_rules! with_limb {
     };
 }
 
+/// A strap was taken for slipped.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Plain)]
+struct Mending {
+    /// So long ago, s.
+    for_s: f64,
+    /// Whether it was found once how the sensors sit, and is found anew from there.
+    once: bool,
+}
+
 /// One limb.
 #[derive(Clone, Debug, PartialEq, Plain)]
 pub(super) struct LimbFilter {
@@ -110,10 +119,8 @@ pub(super) struct LimbFilter {
     astray_s: f64,
     /// For so long the sensor of the upper and of the lower segment has not fitted, s.
     loose_s: [f64; 2],
-    /// Since a strap was taken for slipped, s, until it is known again how both sensors sit.
-    mending_s: Option<f64>,
-    /// Whether it was found once, and is found anew from there.
-    found_once: bool,
+    /// From when a strap was taken for slipped until it is known again how both sensors sit.
+    mending: Option<Mending>,
     /// Whether a strap was ever taken for slipped: what is learnt since is no error of the pose.
     slipped: bool,
     filter: Filter,
@@ -135,8 +142,7 @@ impl LimbFilter {
             offsets_rad_s: [Vector3::zeros(); 2],
             astray_s: 0.0,
             loose_s: [0.0; 2],
-            mending_s: None,
-            found_once: false,
+            mending: None,
             slipped: false,
             filter: Filter::Waiting,
         }
@@ -204,22 +210,24 @@ impl LimbFilter {
         let loose_s = &mut self.loose_s[which];
         *loose_s = if misfit { *loose_s + dt_s } else { 0.0 };
         let slipped = *loose_s > LOOSE_S || with_limb!(&self.filter, false, limb => limb.slipped());
-        match &mut self.mending_s {
+        let is_found = self.is_found();
+        match &mut self.mending {
             None if slipped => self.loosen(),
             None => {}
-            Some(mending_s) => {
-                *mending_s += dt_s;
-                let after_s = *mending_s;
-                // What it showed before it was found how the sensors sit now, the limb finds no way back from.
-                if self.is_found() {
-                    if self.found_once {
-                        self.mending_s = None;
-                    } else {
-                        self.geometry = with_limb!(&self.filter, self.geometry, limb => limb.found_once());
-                    }
-                    self.found_once = !self.found_once;
-                    self.restart();
-                } else if slipped && after_s > 2.0 * PATIENCE_S {
+            // What it showed before it was found how the sensors sit now, the limb finds no way back from.
+            Some(Mending { once: true, .. }) if is_found => {
+                self.mending = None;
+                self.restart();
+            }
+            Some(mending) if is_found => {
+                mending.for_s += dt_s;
+                mending.once = true;
+                self.geometry = with_limb!(&self.filter, self.geometry, limb => limb.found_once());
+                self.restart();
+            }
+            Some(mending) => {
+                mending.for_s += dt_s;
+                if slipped && mending.for_s > PATIENCE_S {
                     self.loosen();
                 }
             }
@@ -228,8 +236,7 @@ impl LimbFilter {
 
     /// A strap was taken for slipped.
     fn loosen(&mut self) {
-        (self.loose_s, self.mending_s, self.slipped) = ([0.0; 2], Some(0.0), true);
-        self.found_once = false;
+        (self.loose_s, self.mending, self.slipped) = ([0.0; 2], Some(Mending::default()), true);
         with_limb!(&mut self.filter, (), limb => limb.loosen());
         with_limb!(&self.filter, (), limb => self.geometry = *limb.geometry());
     }
@@ -247,7 +254,7 @@ impl LimbFilter {
     /// Its sensors sit otherwise than was said: begins anew.
     pub(super) fn remount(&mut self, skeleton: &Skeleton, mounts: &[Option<SensorMount>; SEGMENTS]) {
         self.geometry = LimbGeometry::of(self.limb, skeleton, mounts);
-        (self.loose_s, self.mending_s) = ([0.0; 2], None);
+        (self.loose_s, self.mending) = ([0.0; 2], None);
         self.slipped = false;
         self.restart();
     }

@@ -165,8 +165,11 @@ impl Learning {
         [0, 1].map(|k| if self.slipped[k] { Vector3::from(SLIPPED_RAD) } else { now[k] })
     }
 
-    /// Whether a strap has slipped, as far as what could not be predicted shows it.
+    /// Whether a strap has slipped, as far as what could not be predicted shows it: asked after a sample was looked at, for between two nothing is added to the evidence.
     pub(super) fn slipped(&self) -> bool {
+        if self.since_s > 0.0 {
+            return false;
+        }
         let known: Matrix6<f64> = self.p.fixed_view::<6, 6>(0, 0).into_owned();
         let slipped = Vector3::from(SLIPPED_RAD.map(|sigma_rad| sigma_rad * sigma_rad));
         self.slips.found(&known, &slipped)
