@@ -259,13 +259,18 @@ pub(super) fn aside<T: Send>(work: impl FnOnce() -> T + Send) -> Result<T, NoThr
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(cores.div_ceil(2))
         .thread_name(|_| "aside".to_owned())
-        // A thread's own on Linux; elsewhere it would be the whole daemon's.
-        .start_handler(|_| {
-            #[cfg(target_os = "linux")]
-            let _ = rustix::process::nice(10);
-        })
+        .start_handler(|_| give_way(10))
         .build()?;
     Ok(pool.install(work))
+}
+
+/// Leaves this thread less right to the processor, by so many steps of 19.
+pub(super) fn give_way(steps: i32) {
+    // A thread's own on Linux; elsewhere it would be the whole daemon's.
+    #[cfg(target_os = "linux")]
+    let _ = rustix::process::nice(steps);
+    #[cfg(not(target_os = "linux"))]
+    let _ = steps;
 }
 
 #[cfg(test)]

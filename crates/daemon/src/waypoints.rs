@@ -14,6 +14,7 @@ use posed_drivers::Timestamp;
 use posed_pipeline::SupervisedPipeline;
 use posed_recording::{Chunks, Item, Machine, Reader};
 
+use super::jobs::give_way;
 use super::player::{PlayError, Played};
 
 /// What the pipelines of one recording may take, bytes.
@@ -63,7 +64,7 @@ impl Waypoints {
         let thread = std::thread::Builder::new().name("waypoints".into()).spawn(move || {
             // Who plays waits for the same: before this gives way.
             played.prepare();
-            let _ = rustix::process::nice(NICE);
+            give_way(NICE);
             if let Err(error) = filled.pass_through(&played, MOST_BYTES) {
                 // What came before is of use, and who watches meets the same.
                 tracing::debug!(%error, "no more waypoints");

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde_json::json;
 
 use super::{EXPORTS, Librarian, NICE, Progress, Use};
-use crate::jobs::Jobs;
+use crate::jobs::{Jobs, give_way};
 use crate::recordings;
 use crate::server::{Refusal, Reply};
 use posed_recording::export::Export;
@@ -38,7 +38,7 @@ impl Librarian {
         let held = self.in_use.hold(&path, Use::Read);
         jobs.run("library.export", reply, move |job| {
             let _held = held;
-            let _ = rustix::process::nice(NICE);
+            give_way(NICE);
             std::fs::create_dir_all(&folder)?;
             let output = folder.join(&file);
             let mut progress = Progress::over(&path);

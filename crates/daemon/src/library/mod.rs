@@ -19,7 +19,7 @@ use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 pub(super) use self::in_use::{Held, InUse, Use};
 use self::list::Lists;
 pub use self::moving::forget;
-use super::jobs::Jobs;
+use super::jobs::{Jobs, give_way};
 use super::recordings;
 use super::server::{LetGo, Refusal, Reply};
 use posed_protocol::{Answer, Call, Digested, Takes};
@@ -170,7 +170,7 @@ impl Librarian {
         let (held, name) = (self.in_use.hold(&path, Use::Read), name.to_owned());
         jobs.run("library.digest", reply, move |job| {
             let _held = held;
-            let _ = rustix::process::nice(NICE);
+            give_way(NICE);
             let mut progress = Progress::over(&path);
             let made = make_digest(&path, |bytes| progress.at(bytes, job));
             match made {
