@@ -1,6 +1,5 @@
 //! `posed imu calibrate REC.csv -o IMU.json`: intrinsics of one IMU.
 
-use std::io::Write;
 use std::path::PathBuf;
 
 use nalgebra::Vector3;
@@ -101,10 +100,6 @@ fn run_calibrate(args: &Calibrate) -> Result<(), Error> {
 fn write(args: &Calibrate, found: &Intrinsics) -> Result<(), Error> {
     let mut text = serde_json::to_string_pretty(found).map_err(Error::failed)?;
     text.push('\n');
-    AtomicFile::create(&args.output)
-        .and_then(|mut file| {
-            file.write_all(text.as_bytes())?;
-            file.commit()
-        })
+    AtomicFile::replace(&args.output, text.as_bytes())
         .map_err(|error| Error::file("write", &args.output, &error))
 }

@@ -6,7 +6,7 @@
 //! What comes in: the options of the first daemon, and a stage file. What goes out: a daemon that is always there, with one status and one
 //! address. What it never does: end a stage for one that was not checked and rehearsed, or leave a stage file in place that did not start.
 
-use std::io::{self, Write};
+use std::io;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -87,7 +87,7 @@ impl Editor {
         kept.push("~");
         // With its rights: it may hold secrets.
         std::fs::copy(path, kept)?;
-        replace(path, text)
+        AtomicFile::replace(path, text.as_bytes())
     }
 
     /// Has the changed stage begin; `before` is what stood in the file.
@@ -99,12 +99,6 @@ impl Editor {
 
 fn folder_of(path: &Path) -> &Path {
     path.parent().unwrap_or(Path::new(""))
-}
-
-fn replace(path: &Path, text: &str) -> io::Result<()> {
-    let mut file = AtomicFile::create(path)?;
-    file.write_all(text.as_bytes())?;
-    file.commit()
 }
 
 /// A daemon on a stage file that its clients may change; ends with [`Stages::shutdown`].
@@ -242,7 +236,7 @@ impl Running {
         );
         tracing::error!("{message}");
         if let Some(editor) = &self.place.editor
-            && let Err(error) = replace(&editor.file.path, &before)
+            && let Err(error) = AtomicFile::replace(&editor.file.path, before.as_bytes())
         {
             tracing::error!("cannot write {} as it was: {error}", editor.file.path.display());
         }

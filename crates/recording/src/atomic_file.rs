@@ -56,6 +56,16 @@ impl AtomicFile {
         Ok(Self { file: BufWriter::new(target), path })
     }
 
+    /// Writes a whole file, in the place of one that is there.
+    ///
+    /// # Errors
+    /// Those of [`Self::create`] and [`Self::commit`].
+    pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
+        let mut file = Self::create(path)?;
+        file.write_all(bytes)?;
+        file.commit()
+    }
+
     /// Gives the file its name, in the place of one that is there; its content is on the disk before that, and its name after.
     ///
     /// # Errors

@@ -14,7 +14,7 @@ use super::header::METADATA;
 use super::info::rfc3339;
 use super::reader::Reader;
 use super::records::parse;
-use super::summary::{FOOTER, OFFSETS};
+use super::summary::{FOOTER, OFFSETS, footer};
 use posed_protocol::{DigestCounts, Picture};
 
 /// Longest part of the index that is looked at, bytes: those of many attachments and channels.
@@ -116,16 +116,10 @@ pub(super) struct Ends {
 impl Ends {
     /// `None` of a file without an index, or with one of another form.
     pub(super) fn read(file: &mut File) -> io::Result<Option<Self>> {
-        let bytes = file.metadata()?.len();
-        let mut footer = [0; FOOTER as usize];
-        if bytes < footer.len() as u64 {
-            return Ok(None);
-        }
-        file.seek(SeekFrom::End(-FOOTER))?;
-        file.read_exact(&mut footer)?;
+        let Some(footer) = footer(file)? else { return Ok(None) };
         let place = footer[OFFSETS].try_into().map_or(0, u64::from_le_bytes);
-        let end = bytes - FOOTER as u64;
-        if !footer.ends_with(mcap::MAGIC) || footer[0] != op::FOOTER || !(1..end).contains(&place) {
+        let end = file.metadata()?.len() - FOOTER as u64;
+        if !(1..end).contains(&place) {
             return Ok(None);
         }
         let mut ends = Self { end_utc_ns: None, attachments: Vec::new(), metadata: Vec::new() };

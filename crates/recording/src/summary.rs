@@ -13,6 +13,17 @@ pub(super) const PLACE: std::ops::Range<usize> = 9..17;
 /// The place of what says where its parts are.
 pub(super) const OFFSETS: std::ops::Range<usize> = 17..25;
 
+/// The last record of a file and the mark behind it; `None` where that is not there.
+pub(super) fn footer(file: &mut File) -> io::Result<Option<[u8; FOOTER as usize]>> {
+    let mut footer = [0; FOOTER as usize];
+    if file.metadata()?.len() < footer.len() as u64 {
+        return Ok(None);
+    }
+    file.seek(SeekFrom::End(-FOOTER))?;
+    file.read_exact(&mut footer)?;
+    Ok((footer.ends_with(mcap::MAGIC) && footer[0] == op::FOOTER).then_some(footer))
+}
+
 /// Hands over each record of the index by its kind and its bytes. False where there is no index that can be read: torn or damaged, what can be read of the file
 /// says more; `each` says so by `None`.
 pub(super) fn each_record(
@@ -21,14 +32,9 @@ pub(super) fn each_record(
 ) -> Result<bool, io::Error> {
     let mut file = File::open(path)?;
     let bytes = file.metadata()?.len();
-    let mut footer = [0; FOOTER as usize];
-    if bytes < footer.len() as u64 {
-        return Ok(false);
-    }
-    file.seek(SeekFrom::End(-FOOTER))?;
-    file.read_exact(&mut footer)?;
+    let Some(footer) = footer(&mut file)? else { return Ok(false) };
     let place = footer[PLACE].try_into().map_or(0, u64::from_le_bytes);
-    if !footer.ends_with(mcap::MAGIC) || footer[0] != op::FOOTER || !(1..bytes).contains(&place) {
+    if !(1..bytes).contains(&place) {
         return Ok(false);
     }
     file.seek(SeekFrom::Start(place))?;

@@ -1,50 +1,33 @@
 //! `replay.labels` and `replay.label`: what somebody says that a recording shows, kept beside it where training reads it.
 
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::{Librarian, Outcome};
 use crate::recordings;
 use crate::server::Refusal;
 use posed_protocol::{Answer, LabelSpan, Labels};
-use posed_recording::table::{ElanSegments, SegmentLabels, read_elan_segments, relabel, stem, write_elan};
+use posed_recording::table::{
+    ElanSegments, LabelFiles, SegmentLabels, read_elan_segments, relabel, write_elan,
+};
 use posed_recording::{AtomicFile, read_digest};
 
 /// Longest label, bytes: as of a mark.
 const LABEL_BYTES: usize = 200;
 
-/// A recording's labels beside it.
-struct Beside {
-    /// With a row for each frame, as `posed segments label` writes it: counts where it is there.
-    rows: PathBuf,
-    elan: PathBuf,
-}
-
-impl Beside {
-    fn of(path: &Path) -> Self {
-        let stem = stem(path);
-        let with = |end: &str| path.with_file_name(format!("{stem}{end}"));
-        Self { rows: with(".labels.csv"), elan: with(".eaf") }
-    }
-
-    fn segments(&self) -> Result<ElanSegments, Refusal> {
-        if self.elan.exists() {
-            read_elan_segments(&self.elan).map_err(Refusal::failed)
-        } else {
-            Ok(Vec::new())
-        }
-    }
+/// The segments of a file that need not be there.
+fn segments(elan: &Path) -> Result<ElanSegments, Refusal> {
+    if elan.exists() { read_elan_segments(elan).map_err(Refusal::failed) } else { Ok(Vec::new()) }
 }
 
 impl Librarian {
     pub(super) fn labels(&self, name: &str) -> Outcome {
         let path = recordings::find(&self.folder, name)?;
-        let beside = Beside::of(&path);
+        let beside = LabelFiles::beside(&path);
         if beside.rows.exists() {
             let rows = SegmentLabels::read(&beside.rows).map_err(Refusal::failed)?;
             return Ok(Some(Answer::Labels(Labels { labels: spans(&rows) })));
         }
-        let segments = beside.segments()?;
+        let segments = segments(&beside.elan)?;
         let first_s = if segments.is_empty() { 0.0 } else { first_frame_s(&path)? };
         Ok(Some(answer(segments, first_s)))
     }
@@ -60,7 +43,7 @@ impl Librarian {
             )));
         }
         let path = recordings::find(&self.folder, name)?;
-        let beside = Beside::of(&path);
+        let beside = LabelFiles::beside(&path);
         if beside.rows.exists() {
             let rows = beside.rows.file_name().unwrap_or_default().to_string_lossy();
             return Err(Refusal::new(
@@ -69,15 +52,10 @@ impl Librarian {
             ));
         }
         let first_s = first_frame_s(&path)?;
-        let segments = relabel(beside.segments()?, from_s - first_s, to_s - first_s, label);
+        let segments = relabel(segments(&beside.elan)?, from_s - first_s, to_s - first_s, label);
         let text =
             write_elan(segments.iter().map(|(label, from_s, end_s)| (label.as_str(), *from_s, *end_s)));
-        let write = || {
-            let mut file = AtomicFile::create(&beside.elan)?;
-            file.write_all(text.as_bytes())?;
-            file.commit()
-        };
-        write().map_err(Refusal::failed)?;
+        AtomicFile::replace(&beside.elan, text.as_bytes()).map_err(Refusal::failed)?;
         Ok(Some(answer(segments, first_s)))
     }
 }

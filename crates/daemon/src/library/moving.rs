@@ -1,6 +1,5 @@
 //! Recordings get another name, go into the bin and come back; what belongs to them goes along.
 
-use std::ffi::OsString;
 use std::fs::{File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -10,6 +9,7 @@ use super::{BIN, EXPORTS, Librarian, Outcome, Use};
 use crate::recordings;
 use crate::server::Refusal;
 use posed_protocol::{Answer, Removed, Renamed};
+use posed_recording::table::LabelFiles;
 use posed_recording::{digest_file, sync_folder_of};
 
 /// How long a take that nobody watches any more has to be closed.
@@ -120,13 +120,8 @@ fn numbered(name: &str, number: u32) -> String {
 
 /// What may stand beside a recording and belongs to it: its digest and its labels.
 fn beside(path: &Path) -> [PathBuf; 3] {
-    let stem = path.file_stem().unwrap_or_default();
-    let of_stem = |end: &str| {
-        let mut name = OsString::from(stem);
-        name.push(end);
-        path.with_file_name(name)
-    };
-    [digest_file(path), of_stem(".labels.csv"), of_stem(".eaf")]
+    let LabelFiles { rows, elan } = LabelFiles::beside(path);
+    [digest_file(path), rows, elan]
 }
 
 /// Moves a recording with what belongs to it, never over another.
@@ -153,7 +148,7 @@ fn move_one(from: &Path, to: &Path) -> io::Result<()> {
     use rustix::fs::{CWD, RenameFlags, renameat_with};
     use rustix::io::Errno;
     match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
-        // Not every file system can be told so.
+        // Not every file system knows this flag.
         Err(Errno::INVAL | Errno::NOSYS) => move_if_free(from, to),
         moved => Ok(moved?),
     }

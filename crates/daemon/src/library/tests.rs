@@ -171,13 +171,13 @@ fn what_is_in_use_stays_where_it_is() {
 
     // One that is open for who may come back is closed for who moves it.
     let held = std::sync::Mutex::new(Some(in_use.hold(&path, Use::Played)));
-    let (sender, told) = bounded(1);
+    let (sender, reported) = bounded(1);
     desk.library.lend(Box::new(move |name| {
         sender.send(name.to_owned()).unwrap();
         held.lock().unwrap().take().is_some()
     }));
     assert_eq!(desk.ok(remove("a.mcap")), json!({"name": "a.mcap"}));
-    assert_eq!(told.recv_timeout(Duration::from_secs(10)).unwrap(), "a.mcap");
+    assert_eq!(reported.recv_timeout(Duration::from_secs(10)).unwrap(), "a.mcap");
 }
 
 fn export(name: &str, format: &str) -> Call {

@@ -19,7 +19,6 @@ mod tests;
 mod trc;
 mod usd;
 
-use std::io::Write;
 use std::path::Path;
 
 use nalgebra::{UnitQuaternion, Vector3};
@@ -143,9 +142,7 @@ impl Animation {
             Format::Usda => usd::text(&self.skeleton, rate_hz, &frames).into_bytes(),
         };
         let failed = |source| AnimationError::Io { file: path.display().to_string(), source };
-        let mut file = AtomicFile::create(path).map_err(failed)?;
-        file.write_all(&bytes).map_err(failed)?;
-        file.commit().map_err(failed)
+        AtomicFile::replace(path, &bytes).map_err(failed)
     }
 
     /// Equally spaced frames at the mean rate: the formats know no other. Between two frames segments turn the

@@ -120,10 +120,28 @@ enum Beside {
     Elan(PathBuf),
 }
 
+/// Where the labels of a recording or a table are looked for beside it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LabelFiles {
+    /// With a row for each frame, as `posed segments label` writes it: counts where it is there.
+    pub rows: PathBuf,
+    /// ELAN's.
+    pub elan: PathBuf,
+}
+
+impl LabelFiles {
+    /// Of this recording or table.
+    pub fn beside(path: &Path) -> Self {
+        let stem = stem(path);
+        let with = |end: &str| path.with_file_name(format!("{stem}{end}"));
+        Self { rows: with(".labels.csv"), elan: with(".eaf") }
+    }
+}
+
 fn beside(path: &Path) -> Option<Beside> {
-    let stem = stem(path);
-    let there = |end: &str| Some(path.with_file_name(format!("{stem}{end}"))).filter(|path| path.is_file());
-    there(".labels.csv").map(Beside::Rows).or_else(|| there(".eaf").map(Beside::Elan))
+    let LabelFiles { rows, elan } = LabelFiles::beside(path);
+    let there = |path: PathBuf| Some(path).filter(|path| path.is_file());
+    there(rows).map(Beside::Rows).or_else(|| there(elan).map(Beside::Elan))
 }
 
 /// Takes the labels of a file of segment labels, one row per frame.

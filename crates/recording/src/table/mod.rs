@@ -25,7 +25,7 @@ mod writer;
 pub use elan::{ElanSegments, read_elan_segments, relabel, write_elan};
 pub use error::TableError;
 pub use imu::{Imu, ImuRow};
-pub use labelled::{Named, read_labelled, read_labelled_folder, read_labelled_recordings, stem};
+pub use labelled::{LabelFiles, Named, read_labelled, read_labelled_folder, read_labelled_recordings, stem};
 pub use labels::{SegmentLabel, SegmentLabels};
 pub use poses::{PoseColumns, PoseRow, PoseWriter, Poses, Which};
 pub use reader::TableReader;
