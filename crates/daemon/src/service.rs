@@ -84,7 +84,7 @@ impl Service {
         self.tasks.spawn(task);
     }
 
-    /// Clients are to be told that another stage follows at this address.
+    /// Another stage follows at this address: what closes clients' connections reports it.
     pub(super) fn make_way(&self) {
         self.makes_way.set();
     }

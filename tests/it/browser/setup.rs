@@ -81,7 +81,7 @@ async fn two_devices_on_unknown_ports_become_a_calibrated_body_by_the_page_alone
     says(&mut browser, "is the name of another sensor").await;
     browser.until(&format!("{} === undefined", button("Save and start"))).await;
     press(&mut browser, "Discard").await;
-    // The one that moves is told from the others.
+    // The one that moves is distinguished from the others.
     says(&mut browser, "moves now").await;
     let worn = [
         ("tracker-1", "chest"),

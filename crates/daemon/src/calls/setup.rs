@@ -212,7 +212,7 @@ fn find(stage: &Stage, port: Option<String>, job: &Job) -> Result<String, Failur
     };
     let tell = |fraction: f64, message: String, found: &Found| match serde_json::to_value(found) {
         Ok(found) => job.progress_with(Some(fraction), message, found),
-        Err(error) => tracing::error!(%error, "what was found cannot be told"),
+        Err(error) => tracing::error!(%error, "what was found cannot be reported"),
     };
     let count = asked.len();
     tell(0.0, format!("asking {count} ports"), &all(&shown, &[]));

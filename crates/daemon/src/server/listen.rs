@@ -48,7 +48,7 @@ impl MakesWay {
         self.0.store(true, Ordering::Relaxed);
     }
 
-    /// What clients are told at the end.
+    /// What the connections of clients are closed with.
     pub(super) fn goodbye(&self) -> Close {
         if self.0.load(Ordering::Relaxed) { Close::RESTART } else { Close::SHUTDOWN }
     }

@@ -348,7 +348,7 @@ impl Server {
         self.listener.url()
     }
 
-    /// Whether clients are told at the end that another stage follows.
+    /// Whether another stage follows, which the end of a connection reports.
     pub(super) fn makes_way(&self) -> MakesWay {
         self.listener.context.makes_way.clone()
     }

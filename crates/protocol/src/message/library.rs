@@ -1,4 +1,4 @@
-//! What is told of recordings without playing them: which there are, what happened in one, where everything was at a time.
+//! What is known of recordings without playing them: which there are, what happened in one, where everything was at a time.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
