@@ -91,12 +91,29 @@ impl Browser {
 
     /// Calls a method of the protocol; what the page complains about meanwhile is kept.
     pub(crate) async fn call(&mut self, method: &str, params: Value) -> Value {
+        let id = self.send(method, params).await;
+        loop {
+            let message = self.receive().await;
+            if message["id"] == id {
+                assert!(message["error"].is_null(), "{method}: {message}");
+                return message["result"].clone();
+            }
+        }
+    }
+
+    /// Sends a request; returns its number, which the answer will have.
+    async fn send(&mut self, method: &str, params: Value) -> u64 {
         self.next_id += 1;
         let mut request = json!({"id": self.next_id, "method": method, "params": params});
         if let Some(session) = &self.session {
             request["sessionId"] = json!(session);
         }
         self.socket.send(Message::text(request.to_string())).await.unwrap();
+        self.next_id
+    }
+
+    /// The next message of the browser; what the page complains about is kept.
+    async fn receive(&mut self) -> Value {
         loop {
             let received = tokio::time::timeout(PATIENCE, self.socket.next()).await;
             let Message::Text(text) = received.expect("the browser answers").unwrap().unwrap() else {
@@ -116,10 +133,18 @@ impl Browser {
                 }
                 _ => {}
             }
-            if message["id"] == self.next_id {
-                assert!(message["error"].is_null(), "{method}: {message}");
-                return message["result"].clone();
-            }
+            return message;
+        }
+    }
+
+    /// Loads the page anew. The answer to the request comes while the old page still stands; what is done to that one is lost.
+    pub(crate) async fn reload(&mut self) {
+        let id = self.send("Page.reload", json!({})).await;
+        let (mut answered, mut navigated) = (false, false);
+        while !(answered && navigated) {
+            let message = self.receive().await;
+            answered |= message["id"] == id;
+            navigated |= message["method"] == "Page.frameNavigated";
         }
     }
 

@@ -97,7 +97,7 @@ async fn language_and_light_are_chosen_and_stay() {
     let german = "document.documentElement.lang === 'de' && document.getElementById('tab-watch').textContent === 'Ansehen'";
     let light = "getComputedStyle(document.body).backgroundColor === 'rgb(243, 244, 246)'";
     browser.until(&format!("{german} && {light}")).await;
-    browser.call("Page.reload", json!({})).await;
+    browser.reload().await;
     browser.until(LIVE).await;
     browser.until(&format!("{german} && {light}")).await;
     browser.fill("#theme", "dark").await;

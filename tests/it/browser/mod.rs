@@ -15,8 +15,6 @@ mod trainer;
 
 use std::time::Duration;
 
-use serde_json::json;
-
 use crate::chromium::{self, Browser};
 use crate::daemon::process::{Posed, two_devices};
 
@@ -65,7 +63,7 @@ async fn a_token_does_not_stay_in_the_address() {
         browser.until(LIVE).await;
         assert_eq!(browser.value("location.href.includes('token')").await, false);
         // The tab still has it.
-        browser.call("Page.reload", json!({})).await;
+        browser.reload().await;
         browser.until(LIVE).await;
     }
 }
@@ -186,7 +184,7 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     browser.until("document.getElementById('jobs').textContent.includes('curls-01.mcap is complete')").await;
     // The next one has the next number, and a page that is opened now knows it too.
     browser.until("document.getElementById('record-number').value === '2'").await;
-    browser.call("Page.reload", json!({})).await;
+    browser.reload().await;
     browser.fill("#record-name", "curls").await;
     browser.until("document.getElementById('record-number').value === '2'").await;
     browser.click("tab-calibrate").await;

