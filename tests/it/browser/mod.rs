@@ -180,6 +180,8 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     browser
         .until("document.getElementById('segments-says').textContent.includes('has labels beside it')")
         .await;
+    // So long that slow motion of it is seen between one status and the next, however quick the steps above were.
+    browser.pause(Duration::from_secs(2)).await;
     browser.click("record-stop").await;
     browser.until("document.getElementById('jobs').textContent.includes('curls-01.mcap is complete')").await;
     // The next one has the next number, and a page that is opened now knows it too.
