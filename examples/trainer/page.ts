@@ -1,6 +1,6 @@
 // The page: shows a session's state, and turns buttons into requests. Replace this file to make another front end.
-import { Session } from "./session.ts";
-import type { State } from "./session.ts";
+import { Client } from "../../clients/typescript/src/client";
+import { Session, type State } from "./session";
 
 const element = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
 const make = (tag: string): HTMLElement => document.createElement(tag);
@@ -9,10 +9,9 @@ const number = (id: string): number => element<HTMLInputElement>(id).valueAsNumb
 // The daemon's address and token come from the page's own: ?daemon=HOST:PORT&token=SECRET&subject=NAME
 const options = new URLSearchParams(location.search);
 const daemon = options.get("daemon") ?? "127.0.0.1:8787";
-const token = options.get("token");
-const address = `ws://${daemon}/ws${token === null ? "" : `?token=${encodeURIComponent(token)}`}`;
-
-const session = new Session(() => new WebSocket(address, "posed.v1"), show, options.get("subject") ?? "default");
+const client = new Client(`http://${daemon}/`, { token: options.get("token"), onState: (state) => session.linked(state) });
+const session = new Session(client, show, options.get("subject") ?? "default");
+client.connect();
 
 element("teach").onsubmit = (event) => {
   event.preventDefault();
@@ -26,7 +25,8 @@ element("select").onsubmit = (event) => {
 element("reset").onclick = () => session.ask({ type: "exercise.reset", subject: session.subject });
 
 function show(state: State): void {
-  text("link", { connecting: "connecting…", live: `connected to ${state.stage}`, lost: `no connection to ${daemon}; trying again` }[state.link]);
+  const lost = `no connection to ${daemon}; trying again`;
+  text("link", { connecting: "connecting…", open: `connected to ${state.stage}`, lost, unauthorised: "the daemon asks for a token: ?token=" }[state.link]);
   text("error", state.error ?? "");
   text("teaching", state.teaching?.text ?? "");
   element("cancel").hidden = state.teaching === null || state.teaching.over;

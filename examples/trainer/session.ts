@@ -1,16 +1,14 @@
-// The trainer's connection to the daemon, without a page: what it knows, and what it can ask for.
+// What a trainer knows, and what it can ask for, without a page.
 //
-// In: messages of the websocket. Out: a `State` after every change. It reconnects by itself; what happened meanwhile
-// it learns from the last state that every subscription is answered with.
-import type { Answers, ClientMessage, ServerMessage } from "../../docs/schema/posed.v1.ts";
+// In: a client of the daemon. Out: a `State` after every change. What happened while there was no connection it learns from the last
+// state that every subscription is answered with.
+import { type Client, type LinkState, type Message, type Request } from "../../clients/typescript/src/client";
 
-type Unnumbered<T> = T extends unknown ? Omit<T, "id"> : never;
-type Reply = Extract<ServerMessage, { type: "ok" } | { type: "error" }>;
-type ExerciseMessage = Extract<ServerMessage, { type: "exercise" }>;
+type ExerciseMessage = Message<"exercise">;
 type Selected = Extract<ExerciseMessage, { event: "state" }>["state"];
 
 export interface State {
-  link: "connecting" | "live" | "lost";
+  link: LinkState;
   stage: string;
   /** Names of the exercises that can be selected. */
   known: string[];
@@ -25,35 +23,24 @@ export interface State {
   error: string | null;
 }
 
-const RETRY_MS = [500, 1000, 2000, 5000];
-
 export class Session {
   state: State = {
     link: "connecting", stage: "", known: [], selected: null, provisional: [], feedback: null, hint: null, teaching: null, error: null,
   };
-  #socket!: WebSocket;
-  #attempts = 0;
-  #nextId = 1;
-  #waiting = new Map<unknown, (reply: Reply) => void>();
 
-  constructor(readonly open: () => WebSocket, readonly changed: (state: State) => void, readonly subject = "default") {
-    this.connect();
+  constructor(readonly client: Client, readonly changed: (state: State) => void, readonly subject = "default") {
+    client.on("hello", ({ stage }) => {
+      this.change({ stage, error: null, selected: null });
+      this.list();
+    });
+    client.on("exercise", (event) => this.happened(event));
+    client.on("jobs", ({ jobs }) => this.taught(jobs));
+    client.subscribe({ topics: ["exercise", "jobs"] });
   }
 
-  connect(): void {
-    this.#socket = this.open();
-    this.#socket.onopen = () => {
-      this.#attempts = 0;
-      this.change({ link: "live", error: null, selected: null });
-      this.ask({ type: "subscribe", topics: ["exercise", "jobs"] });
-      this.list();
-    };
-    this.#socket.onmessage = ({ data }) => this.take(JSON.parse(data) as ServerMessage);
-    this.#socket.onclose = () => {
-      this.#waiting.clear();
-      this.change({ link: "lost", hint: null });
-      setTimeout(() => this.connect(), RETRY_MS[Math.min(this.#attempts++, RETRY_MS.length - 1)]);
-    };
+  /** What became of the connection: for the client's `onState`. */
+  linked(link: LinkState): void {
+    this.change({ link, ...(link === "open" ? {} : { hint: null }) });
   }
 
   /** Counts one exercise from 0. */
@@ -62,44 +49,32 @@ export class Session {
   }
 
   /** Learns an exercise from the repetitions that follow; it ends by itself once they were done. */
-  teach(name: string, repetitions: number): void {
+  async teach(name: string, repetitions: number): Promise<void> {
     this.change({ feedback: null });
-    this.ask({ type: "exercise.teach", subject: this.subject, name, repetitions }, (result) => {
-      this.change({ teaching: { job: (result as Answers["exercise.teach"]).job, text: "starting", over: false } });
-    });
+    const begun = await this.ask({ type: "exercise.teach", subject: this.subject, name, repetitions });
+    if (begun) this.change({ teaching: { job: begun.job, text: "starting", over: false } });
   }
 
   cancelTeaching(): void {
     if (this.state.teaching?.over === false) this.ask({ type: "job.cancel", job: this.state.teaching.job });
   }
 
-  list(): void {
-    this.ask({ type: "exercise.list" }, (result) => {
-      for (const { name } of (result as Answers["exercise.list"]).exercises) this.learn(name);
-    });
+  async list(): Promise<void> {
+    const answer = await this.ask({ type: "exercise.list" });
+    for (const { name } of answer?.exercises ?? []) this.learn(name);
   }
 
-  /** Sends a request; `then` gets its result, a refusal becomes the state's error. */
-  ask(request: Unnumbered<ClientMessage>, then: (result: unknown) => void = () => {}): void {
-    const id = this.#nextId++;
-    this.#waiting.set(id, (reply) => (reply.type === "ok" ? then(reply.result) : this.change({ error: reply.message })));
-    this.#socket.send(JSON.stringify({ ...request, id }));
+  /** Sends a request; a refusal becomes the state's error. */
+  ask<R extends Request>(request: R) {
+    return this.client.request(request).catch((refused: Error) => void this.change({ error: refused.message }));
   }
 
-  /** Takes a message of the daemon. */
-  take(message: ServerMessage): void {
-    if (message.type === "hello") this.change({ stage: message.stage });
-    if (message.type === "ok" || message.type === "error") {
-      this.#waiting.get(message.id)?.(message);
-      this.#waiting.delete(message.id);
-    }
-    if (message.type === "exercise") this.happened(message);
-    const job = message.type === "jobs" && message.jobs.find(({ job }) => job === this.state.teaching?.job);
-    if (job) {
-      const over = job.state !== "running";
-      if (over && this.state.teaching?.over === false) this.list();
-      this.change({ teaching: { job: job.job, text: job.message ?? job.state, over } });
-    }
+  private taught(jobs: Message<"jobs">["jobs"]): void {
+    const job = jobs.find(({ job }) => job === this.state.teaching?.job);
+    if (!job) return;
+    const over = job.state !== "running";
+    if (over && this.state.teaching?.over === false) this.list();
+    this.change({ teaching: { job: job.job, text: job.message ?? job.state, over } });
   }
 
   private happened(event: ExerciseMessage): void {

@@ -46,3 +46,4 @@ mod simulated;
 mod stages;
 mod supply;
 mod trainer;
+mod typescript;

@@ -12,11 +12,14 @@ use crate::exercise::live_messages;
 
 /// Feeds messages to a session over a socket of its own, and prints the state.
 const DRIVER: &str = r#"
-import { Session } from "./session.js";
+import { Session } from "./examples/trainer/session.js";
+import { Client } from "./clients/typescript/src/client.js";
 import { createInterface } from "node:readline";
 const sent = [];
 const socket = { send: (text) => sent.push(JSON.parse(text)), close() {}, onopen: null, onmessage: null, onclose: null };
-const session = new Session(() => socket, () => {});
+const client = new Client("ws://stage/ws", { socket: () => socket });
+const session = new Session(client, () => {});
+client.connect();
 socket.onopen();
 for await (const line of createInterface({ input: process.stdin })) socket.onmessage({ data: line });
 session.select("curl", 10, 3, 60);
@@ -40,9 +43,10 @@ fn it_shows_what_the_daemon_says_and_asks_what_the_daemon_understands() {
     let checked = checked.unwrap();
     assert!(checked.status.success(), "{}", String::from_utf8_lossy(&checked.stdout));
     let build = tempfile::tempdir().unwrap();
-    let bundle = format!("--outfile={}", build.path().join("session.js").display());
+    let out = format!("--outdir={}", build.path().display());
     let bundled = Command::new(esbuild)
-        .args(["session.ts", "--bundle", "--format=esm", "--log-level=error", &bundle])
+        .args(["session.ts", "../../clients/typescript/src/client.ts", "--bundle", "--format=esm"])
+        .args(["--log-level=error", &out])
         .current_dir(&folder)
         .status();
     assert!(bundled.unwrap().success());

@@ -1,8 +1,8 @@
 // The messages, as generated from the daemon's types, and what this page makes of them.
 
-export type * from "../../docs/schema/posed.v1";
+export type * from "../../clients/typescript/src/posed.v1";
 
-import type { FaultMessage, SensorState } from "../../docs/schema/posed.v1";
+import type { FaultMessage, SensorState } from "../../clients/typescript/src/posed.v1";
 
 /** A fault of a sensor that began or ended, and a fault map that was swapped in. */
 export type FaultEvent = Extract<FaultMessage, { event: "fault" }>;

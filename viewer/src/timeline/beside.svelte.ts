@@ -1,7 +1,7 @@
 // Another take over the one that is played: its people see-through in the same room, from both beginnings on.
 
 import { takePage } from "../library/where";
-import { Link, websocketOf } from "../link";
+import { Link } from "../link";
 import { model } from "../page.svelte";
 import type { ReplayStatus } from "../protocol";
 import { Looks } from "./looks";
@@ -24,20 +24,19 @@ class Beside {
     model.lookBeside(null);
     this.name = name;
     if (name === null) return;
-    const page = { href: new URL(takePage(name), location.href).href, protocol: location.protocol };
     const link: Link = new Link(
       (message) => {
         if (message.type === "hello") {
-          link.request({ type: "subscribe", topics: ["status"] }).catch(() => {});
           // It is looked at, and need not play; who may only watch leaves it as it is.
           link.request({ type: "replay.speed", speed: 0 }).catch(() => {});
         }
         if (message.type === "status") this.replay = message.replay;
       },
       () => {},
-      () => websocketOf(page),
+      () => new URL(takePage(name), location.href).href,
       false,
     );
+    link.subscribe({ topics: ["status"] });
     this.link = link;
     this.looks = new Looks((t_s) => link.request({ type: "replay.look", t_s }), (look) => model.lookBeside(look));
     link.connect();
