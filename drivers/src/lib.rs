@@ -22,4 +22,4 @@ pub mod x_imu3;
 pub mod xbus;
 
 pub use sample::{Arrival, DeviceTime, Measurement, Sample, Timestamp};
-pub use session::{Counters, LineEvent, Loss, Output, SensorInfo, Session, State};
+pub use session::{Condition, Counters, LineEvent, Loss, Output, SensorInfo, Session, State};

@@ -117,6 +117,27 @@ pub struct Loss {
     pub estimated: bool,
 }
 
+/// What a sensor reports of itself beside what it measures: the newest of each, absent where it has reported none since it was last
+/// connected.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Plain)]
+pub struct Condition {
+    /// Address on the device, that of [`Sample::address`].
+    pub address: u16,
+    /// Charge of its battery, 0 to 1.
+    pub battery: Option<f64>,
+    /// Voltage of its battery, V.
+    pub battery_v: Option<f64>,
+    /// Strength of its radio signal where it is received, dBm.
+    pub signal_dbm: Option<f64>,
+}
+
+impl Condition {
+    /// Of a sensor that has reported nothing.
+    pub fn unknown(address: u16) -> Self {
+        Self { address, ..Self::default() }
+    }
+}
+
 /// A device session without IO; see the module's contract.
 pub trait Session {
     /// The line opened, closed, or lost bytes. `Opened` begins the set-up anew, whatever went before.
@@ -142,6 +163,10 @@ pub trait Session {
     fn rate_hz(&self) -> Option<f64>;
     /// Records lost per sensor, in the order of [`Session::sensors`]; empty where a driver cannot know.
     fn losses(&self) -> &[Loss] {
+        &[]
+    }
+    /// Battery and radio signal per sensor, in the order of [`Session::sensors`]; empty where the devices of a driver report neither.
+    fn conditions(&self) -> &[Condition] {
         &[]
     }
 }

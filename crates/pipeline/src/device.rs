@@ -1,6 +1,6 @@
 //! One device: its session, its clocks, and who its sensors are.
 
-use posed_drivers::{Loss, State};
+use posed_drivers::{Condition, Loss, State};
 use posed_state::Plain;
 
 use super::sensor::Sensor;
@@ -151,6 +151,13 @@ impl Device {
         let losses = self.session.get().losses();
         let found = losses.iter().find(|loss| self.route(loss.address, all).sensor == Some(sensor));
         Some(found.copied().unwrap_or_default())
+    }
+
+    /// What a sensor reports of itself; nothing where its device does not.
+    pub(super) fn condition(&self, sensor: SensorIndex, all: &[Sensor]) -> Condition {
+        let conditions = self.session.get().conditions();
+        let found = conditions.iter().find(|known| self.route(known.address, all).sensor == Some(sensor));
+        found.copied().unwrap_or_default()
     }
 
     pub(super) fn status(&self, sources: &[Source]) -> DeviceStatus {

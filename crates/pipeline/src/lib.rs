@@ -315,7 +315,8 @@ impl Pipeline {
                 .zip(&self.sensors)
                 .map(|(index, sensor)| {
                     let device = &self.devices[usize::from(sensor.device())];
-                    sensor.status(device.counted(index, &self.sensors).as_ref())
+                    let counted = device.counted(index, &self.sensors);
+                    sensor.status(counted.as_ref(), device.condition(index, &self.sensors))
                 })
                 .collect(),
             bodies: self.bodies.iter().map(Wearer::status).collect(),

@@ -1,7 +1,7 @@
 //! One sensor: what its samples are worth, where it is, what was lost, which fault began or ended.
 
 use nalgebra::{Isometry3, Vector3};
-use posed_drivers::{Loss, Measurement, Timestamp};
+use posed_drivers::{Condition, Loss, Measurement, Timestamp};
 use posed_state::State;
 
 use super::SensorStatus;
@@ -153,10 +153,11 @@ impl Sensor {
     }
 
     /// `counted` is what the device itself knows to be lost; without it the frames count.
-    pub(super) fn status(&self, counted: Option<&Loss>) -> SensorStatus {
+    pub(super) fn status(&self, counted: Option<&Loss>, condition: Condition) -> SensorStatus {
         let (lost, estimated) =
             counted.map_or((self.missed, self.missed_by_time), |loss| (loss.lost, loss.estimated));
-        SensorStatus { samples: self.samples, newest: self.newest, lost: lost + self.unpublished, estimated }
+        let lost = lost + self.unpublished;
+        SensorStatus { samples: self.samples, newest: self.newest, lost, estimated, condition }
     }
 
     /// Whether a measurement is one of the cycle that times its device, rather than one beside it.

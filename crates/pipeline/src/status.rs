@@ -1,6 +1,6 @@
 //! What `status` tells of the pipeline.
 
-use posed_drivers::{Counters, State, Timestamp};
+use posed_drivers::{Condition, Counters, State, Timestamp};
 
 use posed_fusion::faults::Cause;
 use posed_stage::input::SensorIndex;
@@ -58,7 +58,7 @@ pub struct ClockStatus {
 }
 
 /// What was received of one sensor, and what is missing.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SensorStatus {
     /// Samples that came into frames, whatever their state.
     pub samples: u64,
@@ -68,4 +68,6 @@ pub struct SensorStatus {
     pub lost: u64,
     /// Part of `lost` comes from the time that passed: nothing on the line shows how many samples there were.
     pub estimated: bool,
+    /// What it reports of itself, as far as it does.
+    pub condition: Condition,
 }

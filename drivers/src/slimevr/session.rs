@@ -22,7 +22,7 @@ use crate::datagram::{Datagram, datagrams};
 use crate::flock::SettingsError;
 use crate::outbox::Outbox;
 use crate::sample::{Arrival, DeviceTime, Measurement, Sample, Timestamp};
-use crate::session::{Counters, LineEvent, Loss, Output, SensorInfo, Session, State};
+use crate::session::{Condition, Counters, LineEvent, Loss, Output, SensorInfo, Session, State};
 
 /// How often a tracker hears from the server.
 const BEAT: Duration = Duration::from_millis(500);
@@ -37,8 +37,6 @@ const MOST: usize = 64;
 const MOST_SENSORS: u8 = 16;
 /// Protocols before this one have acceleration in other axes.
 const UNTURNED: u32 = 22;
-/// A battery is reported to be low below this share.
-const LOW_BATTERY: f64 = 0.1;
 
 /// Settings of SlimeVR trackers; every key has a default.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -113,6 +111,7 @@ pub struct SlimeVrSession {
     bytes_skipped: u64,
     sensors: Vec<SensorInfo>,
     losses: Vec<Loss>,
+    conditions: Vec<Condition>,
     /// Per sensor: when it last sent, and whether its tracker has had to come anew since.
     sent: Vec<(Option<Timestamp>, bool)>,
 }
@@ -169,6 +168,7 @@ impl SlimeVrSession {
             bytes_skipped: 0,
             sensors: addresses.iter().map(|&address| SensorInfo { address, serial: None }).collect(),
             losses: addresses.iter().map(|&address| Loss { address, ..Loss::default() }).collect(),
+            conditions: addresses.iter().map(|&address| Condition::unknown(address)).collect(),
             sent: vec![(None, false); addresses.len()],
             wanted: addresses,
         })
@@ -358,10 +358,14 @@ impl SlimeVrSession {
                     });
                 }
                 Ok(Item::Action(wire::FULL_RESET | wire::YAW_RESET)) => self.outbox.heading_reset(number),
-                Ok(Item::Battery { level, .. }) if level < LOW_BATTERY => {
-                    self.outbox.warn(now, 0x2_0000 + u32::from(number), || {
-                        format!("the battery of tracker {number} is at {:.0} %", level * 100.0)
+                Ok(Item::Battery { level, volts }) => {
+                    self.conditions_of(number).for_each(|condition| {
+                        (condition.battery, condition.battery_v) = (Some(level), volts);
                     });
+                }
+                Ok(Item::Signal { strength_dbm }) => {
+                    self.conditions_of(number)
+                        .for_each(|condition| condition.signal_dbm = Some(strength_dbm));
                 }
                 Ok(_) => {}
                 Err(Refused) => self.outbox.counters.rejected += 1,
@@ -395,6 +399,16 @@ impl SlimeVrSession {
         });
     }
 
+    /// Of all sensors of a tracker.
+    fn conditions_of(&mut self, number: u16) -> impl Iterator<Item = &mut Condition> {
+        self.conditions.iter_mut().filter(move |condition| condition.address & 0xFF == number)
+    }
+
+    /// Nothing is known any more of a tracker that is gone.
+    fn forget_condition(&mut self, number: u16) {
+        self.conditions_of(number).for_each(|condition| *condition = Condition::unknown(condition.address));
+    }
+
     /// While a tracker is without its server it sends nothing that could be counted: time alone tells what was missed.
     fn count_absence(&mut self, index: usize, now: Timestamp) {
         let (last, anew) = &mut self.sent[index];
@@ -415,6 +429,7 @@ impl SlimeVrSession {
             let number = tracker.number;
             if silent_s >= GONE_S {
                 tracker.peer = None;
+                self.forget_condition(number);
                 self.outbox.warn(now, 0x400 + u32::from(number), || {
                     format!("tracker {number} is gone; check its battery and the network")
                 });
@@ -445,6 +460,9 @@ impl Session for SlimeVrSession {
             LineEvent::Closed { reason } => {
                 for tracker in &mut self.trackers {
                     tracker.peer = None;
+                }
+                for condition in &mut self.conditions {
+                    *condition = Condition::unknown(condition.address);
                 }
                 self.next_beat = None;
                 self.outbox.connecting(reason.clone());
@@ -501,5 +519,9 @@ impl Session for SlimeVrSession {
 
     fn losses(&self) -> &[Loss] {
         &self.losses
+    }
+
+    fn conditions(&self) -> &[Condition] {
+        &self.conditions
     }
 }

@@ -58,6 +58,11 @@ pub enum Item<'a> {
         /// Share of a full charge, held within 0 and 1.
         level: f64,
     },
+    /// Strength of the radio signal as the tracker receives it; one radio serves all its sensors.
+    Signal {
+        /// dBm.
+        strength_dbm: f64,
+    },
     /// A sensor has an error.
     Error {
         /// Number of the sensor on the tracker.
@@ -191,6 +196,8 @@ fn decode(kind: u32, body: &[u8]) -> Option<Item<'_>> {
         17 => {
             Item::Rotation { sensor: *body.first()?, orientation_wxyz: quaternion(floats(body.get(2..)?)?)? }
         }
+        // Who it is said of, one sensor or all (255), makes no difference.
+        19 => Item::Signal { strength_dbm: body.get(1)?.cast_signed().into() },
         22 => Item::FeatureFlags,
         23 => {
             let (&sensor, rest) = body.split_first()?;
@@ -203,7 +210,7 @@ fn decode(kind: u32, body: &[u8]) -> Option<Item<'_>> {
             }
         }
         21 => Item::Action(*body.first()?),
-        11 | 13 | 18..=20 | 24 | 26 | 27 | 105 => Item::Other(kind),
+        11 | 13 | 18 | 20 | 24 | 26 | 27 | 105 => Item::Other(kind),
         _ => return None,
     })
 }

@@ -160,6 +160,9 @@ const MOST_DEG_S: f64 = 2500.0;
 const MOST_G: f64 = 30.0;
 const MOST_HIGH_G: f64 = 300.0;
 const MOST_FIELD: f64 = 50.0;
+/// Most of a battery's percentage and volts, and of a radio signal's percentage and dBm.
+const MOST_BATTERY: f64 = 110.0;
+const MOST_SIGNAL: f64 = 200.0;
 
 impl Data<'_> {
     /// Letter on the wire, without the mark of binary data.
@@ -212,6 +215,14 @@ impl Data<'_> {
             }
             Data::HighG(values) => {
                 within(&values, MOST_HIGH_G)?;
+                return Ok(None);
+            }
+            Data::Battery(values) => {
+                within(&values, MOST_BATTERY)?;
+                return Ok(None);
+            }
+            Data::Rssi(values) => {
+                within(&values, MOST_SIGNAL)?;
                 return Ok(None);
             }
             _ => return Ok(None),

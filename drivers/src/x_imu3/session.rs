@@ -17,7 +17,7 @@ use crate::arrivals::Arrivals;
 use crate::flock::SettingsError;
 use crate::outbox::Outbox;
 use crate::sample::{DeviceTime, Sample, Timestamp};
-use crate::session::{Counters, LineEvent, Loss, Output, SensorInfo, Session, State};
+use crate::session::{Condition, Counters, LineEvent, Loss, Output, SensorInfo, Session, State};
 
 /// Inertial sample rate of a unit, Hz; messages are averages of a whole number of samples.
 const SAMPLE_RATE_HZ: f64 = 400.0;
@@ -103,6 +103,7 @@ pub struct XImu3Session {
     refused_bytes: u64,
     sensors: Vec<SensorInfo>,
     losses: Vec<Loss>,
+    conditions: Vec<Condition>,
 }
 
 impl XImu3Session {
@@ -134,6 +135,7 @@ impl XImu3Session {
             outbox: Outbox::new(),
             refused_bytes: 0,
             sensors: addresses.iter().map(|&address| SensorInfo { address, serial: None }).collect(),
+            conditions: addresses.iter().map(|&address| Condition::unknown(address)).collect(),
             losses: addresses.iter().map(|&address| Loss { address, ..Loss::default() }).collect(),
         })
     }
@@ -212,6 +214,15 @@ impl XImu3Session {
                 return true;
             }
         }
+        let condition = &mut self.conditions[index];
+        match stamped.data {
+            Data::Battery([percent, volts, _]) => {
+                (condition.battery, condition.battery_v) =
+                    (Some((percent / 100.0).clamp(0.0, 1.0)), Some(volts));
+            }
+            Data::Rssi([_, strength_dbm]) => condition.signal_dbm = Some(strength_dbm),
+            _ => {}
+        }
         let mut time_us = stamped.time_us;
         if let Data::Inertial { .. } = stamped.data {
             // The others come beside it: a unit that sends them alone was set to something else.
@@ -263,6 +274,7 @@ impl XImu3Session {
     }
 
     fn start_unit(&mut self, now: Timestamp, index: usize) {
+        self.conditions[index] = Condition::unknown(self.units[index].address);
         self.units[index].ask_from_start(now);
         self.ask(index);
         self.update_state();
@@ -305,6 +317,9 @@ impl Session for XImu3Session {
                 self.lines.interrupt();
                 self.open = false;
                 self.units.iter_mut().for_each(Unit::close);
+                for condition in &mut self.conditions {
+                    *condition = Condition::unknown(condition.address);
+                }
                 self.outbox.connecting(reason.clone());
             }
             LineEvent::Dropped { bytes } => {
@@ -374,5 +389,9 @@ impl Session for XImu3Session {
 
     fn losses(&self) -> &[Loss] {
         &self.losses
+    }
+
+    fn conditions(&self) -> &[Condition] {
+        &self.conditions
     }
 }

@@ -68,6 +68,8 @@ fn worked_examples() {
 
     let battery = hex("00 00 00 0C 00 00 00 00 00 00 00 2E 40 78 00 00 3F 00 00 00");
     assert_eq!(items(&battery), [Ok(Item::Battery { volts: Some(3.875), level: 0.5 })]);
+    let signal = wire::encode(3, 19, &[255, (-61_i8).cast_unsigned()]);
+    assert_eq!(items(&signal), [Ok(Item::Signal { strength_dbm: -61.0 })]);
     assert_eq!(items(&hex("00 00 00 16 00 00 00 00 00 00 00 2F 06")), [Ok(Item::FeatureFlags)]);
     assert_eq!(wire::feature_flags(), hex("00 00 00 16 00 00 00 00 00 00 00 00 03"));
 }

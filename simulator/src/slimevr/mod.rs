@@ -27,6 +27,8 @@ const CALL: Duration = Duration::from_secs(1);
 const FEATURES: Duration = Duration::from_millis(500);
 const MOST_FEATURES: u8 = 15;
 const BATTERY: Duration = Duration::from_secs(10);
+/// Strength of every tracker's radio signal, dBm.
+const SIGNAL_DBM: i8 = -58;
 /// Silence of the server after which a tracker looks for one again, s.
 const SILENCE_S: f64 = 3.0;
 /// Protocol version of the firmware.
@@ -336,9 +338,10 @@ impl Unit for SlimeVr {
             let volts = 3.2 + tracker.level;
             let body: Vec<u8> =
                 [volts, tracker.level].iter().flat_map(|v| (*v as f32).to_be_bytes()).collect();
-            let packet = tracker.packet(12, &body);
+            let signal = [255, SIGNAL_DBM.cast_unsigned()];
+            let packets = [tracker.packet(12, &body), tracker.packet(19, &signal)];
             if !is_quiet {
-                self.emit(chassis, t, k, &packet);
+                packets.iter().for_each(|packet| self.emit(chassis, t, k, packet));
             }
         }
     }

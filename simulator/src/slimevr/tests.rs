@@ -137,10 +137,29 @@ fn nonsense_is_refused_and_words_reach_the_operator() {
         Fault::LowBattery { address: 3, at_s: 5.5 },
     ];
     let mut pair = pair(faults);
+    pair.run_until(5.4);
+    let battery = |pair: &Pair<SlimeVrSession>| {
+        pair.session.conditions().iter().map(|condition| condition.battery).collect::<Vec<_>>()
+    };
+    assert_eq!(battery(&pair).iter().flatten().count(), ADDRESSES.len(), "each has reported it");
     pair.run_until(7.0);
     assert!(pair.session.counters().rejected >= 190, "{}", pair.session.counters().rejected);
-    for words in ["sensor 1 of tracker 2 reports error 9", "battery of tracker 3 is at 5 %"] {
-        assert!(pair.warnings.iter().any(|text| text.contains(words)), "{:?}", pair.warnings);
+    let words = "sensor 1 of tracker 2 reports error 9";
+    assert!(pair.warnings.iter().any(|text| text.contains(words)), "{:?}", pair.warnings);
+    for condition in pair.session.conditions() {
+        let [level, volts] = if condition.address == 3 { [0.05, 3.25] } else { [0.9, 4.1] };
+        let near = |value: Option<f64>, expected: f64| (value.unwrap() - expected).abs() < 1e-6;
+        assert!(near(condition.battery, level) && near(condition.battery_v, volts), "{condition:?}");
+        assert_eq!(condition.signal_dbm, Some(-58.0));
+    }
+}
+
+#[test]
+fn nothing_is_known_of_the_battery_of_a_tracker_that_is_gone() {
+    let mut pair = pair(vec![Fault::BirdDies { address: 2, at_s: 4.0, duration_s: None }]);
+    pair.run_until(9.0);
+    for condition in pair.session.conditions() {
+        assert_eq!(condition.battery.is_none(), condition.address & 0xFF == 2, "{condition:?}");
     }
 }
 

@@ -126,6 +126,9 @@ fn words_between_the_data_reach_the_operator() {
     for words in ["unit 2 reports: Error 7.", "unit 1 reports: Battery low."] {
         assert!(pair.warnings.iter().any(|text| text == words), "{:?}", pair.warnings);
     }
+    let [low, other] = pair.session.conditions() else { panic!("two units") };
+    assert_eq!((low.address, low.battery, other.battery), (1, Some(0.03), None));
+    assert!((low.battery_v.unwrap() - 3.4).abs() < 1e-6);
     assert_eq!(pair.counted(), [0, 0]);
 }
 
