@@ -34,7 +34,7 @@ mod plain;
 mod publisher;
 mod rate;
 mod request;
-pub(crate) mod round;
+pub mod round;
 pub mod schema;
 mod sensors;
 #[cfg(test)]

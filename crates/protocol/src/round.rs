@@ -22,7 +22,7 @@ pub(crate) const CLOCK: f64 = 1e6;
 pub(crate) const PROBABILITY: f64 = 1e3;
 
 /// `value` to the nearest `1 / steps`; never a negative zero.
-pub(crate) fn to(steps: f64, value: f64) -> f64 {
+pub fn to(steps: f64, value: f64) -> f64 {
     (value * steps).round() / steps + 0.0
 }
 
@@ -33,7 +33,7 @@ pub(crate) fn score(large: f64) -> f64 {
 }
 
 /// Each component to the nearest `1 / steps`.
-pub(crate) fn each<const N: usize>(steps: f64, values: [f64; N]) -> [f64; N] {
+pub fn each<const N: usize>(steps: f64, values: [f64; N]) -> [f64; N] {
     values.map(|value| to(steps, value))
 }
 

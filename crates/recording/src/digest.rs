@@ -23,6 +23,7 @@ use super::reader::{Item, Reader};
 use super::thinned::Thinned;
 use posed_fusion::faults::Cause;
 use posed_motion::exercise::EventKind;
+use posed_protocol::round;
 use posed_protocol::{
     Digest, DigestCounts, DigestKeyPose, DigestMark, DigestRepetition, FaultSpan, Names, Picture,
     PicturePath, SegmentSpan,
@@ -161,7 +162,7 @@ impl Digester {
                     self.repetitions.push(|| DigestRepetition {
                         subject: outcome.subject.to_string(),
                         exercise: repetition.exercise.to_string(),
-                        from_s: rounded(1e3, repetition.t_start_s),
+                        from_s: round::to(1e3, repetition.t_start_s),
                         t_s,
                         counted: repetition.kind == EventKind::Counted,
                     });
@@ -210,9 +211,9 @@ impl Digester {
         };
         Digest {
             begun_s: milliseconds(self.begun),
-            length_s: rounded(1e3, self.end.seconds_since(self.begun)),
+            length_s: round::to(1e3, self.end.seconds_since(self.begun)),
             // As messages have it.
-            first_frame_s: self.first_frame.map(|t| rounded(1e6, t.as_secs_f64())),
+            first_frame_s: self.first_frame.map(|t| round::to(1e6, t.as_secs_f64())),
             counts,
             dropped,
             picture: self.picture(),
@@ -250,17 +251,13 @@ fn left_out<T>(lane: &Thinned<T>) -> u64 {
     lane.seen() - lane.kept().len() as u64
 }
 
-fn rounded(steps: f64, value: f64) -> f64 {
-    (value * steps).round() / steps
-}
-
 /// Stage time to whole milliseconds, s: finer than any frame.
 fn milliseconds(t: Timestamp) -> f64 {
-    rounded(1e3, t.as_secs_f64())
+    round::to(1e3, t.as_secs_f64())
 }
 
 fn millimetres(position_m: [f64; 3]) -> [f64; 3] {
-    position_m.map(|value| rounded(1e3, value))
+    round::each(1e3, position_m)
 }
 
 /// The digest of a recording, from the recording or from the file beside it; `None` where there is none.

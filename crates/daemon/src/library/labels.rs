@@ -5,7 +5,7 @@ use std::path::Path;
 use super::{Librarian, Outcome};
 use crate::recordings;
 use crate::server::Refusal;
-use posed_protocol::{Answer, LabelSpan, Labels};
+use posed_protocol::{Answer, LabelSpan, Labels, round};
 use posed_recording::table::{
     ElanSegments, LabelFiles, SegmentLabels, read_elan_segments, relabel, write_elan,
 };
@@ -61,11 +61,10 @@ impl Librarian {
 }
 
 fn answer(segments: ElanSegments, first_s: f64) -> Answer {
-    let milliseconds = |t_s: f64| (t_s * 1e3).round() * 1e-3;
     let span = |(label, from_s, end_s): (String, f64, f64)| LabelSpan {
         label,
-        from_s: milliseconds(first_s + from_s),
-        to_s: milliseconds(first_s + end_s),
+        from_s: round::to(1e3, first_s + from_s),
+        to_s: round::to(1e3, first_s + end_s),
     };
     Answer::Labels(Labels { labels: segments.into_iter().map(span).collect() })
 }
