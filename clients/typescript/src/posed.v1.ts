@@ -1615,10 +1615,12 @@ export type PositionSource = "origin" | "trackers" | "held" | "feet";
 
 /** Something that is wrong now. */
 export type Problem = {
-  /** For programs. */
+  /** For programs, and for who says it in another language. */
   code: string;
-  /** For people: what to do, in one sentence. */
+  /** For people: what to do, in one sentence of English. */
   message: string;
+  /** What the sentence names, by name: all that another language needs to say the same. Empty where only `message` has it. */
+  values: Record<string, string>;
 };
 
 /** How far a run is. */
@@ -1870,7 +1872,7 @@ export type SensorEntry = {
 
 /** A sensor in the last hour. */
 export type SensorHistory = {
-  /** Charge of its battery, 0 to 1. No driver reports one yet: always null. */
+  /** Charge of its battery at the end of the step, 0 to 1; null where its device reports none. */
   battery: (number | null)[];
   /** Standard deviation of the capture times of its device, s, at the end of the step. */
   clock_sigma_s: (number | null)[];
@@ -1884,6 +1886,8 @@ export type SensorHistory = {
   noise_m: (number | null)[];
   /** Samples per second. */
   rate_hz: (number | null)[];
+  /** Strength of its radio signal at the end of the step, dBm; null where its device reports none. */
+  signal_dbm: (number | null)[];
 };
 
 /** What the fault map reports about a sensor in a frame. */
@@ -1905,6 +1909,10 @@ export type SensorState = "ok" | "suspect" | "missing" | "late" | "stuck" | "rep
 export type SensorStatus = {
   /** Age of the newest sample, s; null before the first. */
   age_s: number | null;
+  /** Charge of its battery, 0 to 1; null where its device reports none, and after it is gone. */
+  battery: number | null;
+  /** Voltage of its battery, V; null likewise. */
+  battery_v: number | null;
   /** Whether `lost` is partly estimated, because whole cycles left no trace in the bytes. */
   estimated: boolean;
   /** Expected samples that were not published as `ok`, but for those with which its filter began. */
@@ -1915,6 +1923,8 @@ export type SensorStatus = {
   rate_hz: number | null;
   /** Samples that arrived. */
   samples: number;
+  /** Strength of its radio signal, dBm (-50 is strong, -80 weak); null likewise. */
+  signal_dbm: number | null;
 };
 
 /** What every data message starts with, and its body. */

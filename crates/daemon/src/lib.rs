@@ -238,7 +238,7 @@ impl Daemon {
                 // The stage runs without it too.
                 Err(error) => {
                     tracing::warn!("{error}");
-                    config.problems.push(Problem { code: "zenoh".to_owned(), message: error.to_string() });
+                    config.problems.push(Problem::new("zenoh", error.to_string()));
                 }
             }
         }
@@ -427,7 +427,7 @@ fn left_out(loaded: &Loaded, in_use: &MapInUse) -> Vec<Problem> {
     });
     let problems = units.chain(map).map(|(code, message)| {
         tracing::warn!("{message}");
-        Problem { code: code.to_owned(), message }
+        Problem::new(code, message)
     });
     problems.collect()
 }

@@ -240,7 +240,7 @@ impl Running {
         {
             tracing::error!("cannot write {} as it was: {error}", editor.file.path.display());
         }
-        self.place.problems.push(Problem { code: "stage".to_owned(), message });
+        self.place.problems.push(Problem::new("stage", message));
         let before = Options { clock: StageClock::start(), ..self.options.clone() };
         Daemon::start_at(before, self.place.clone())
     }

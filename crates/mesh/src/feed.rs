@@ -217,16 +217,15 @@ impl posed_daemon::link::Feed for Feed {
     }
 
     fn problem(&self) -> Option<Problem> {
-        let broken = self.shared.broken.get().map(|thread| Problem {
-            code: "zenoh".to_owned(),
-            message: format!("{thread} had a fault of its own, and other machines get nothing more: restart posed, and please report this"),
+        let broken = self.shared.broken.get().map(|thread| {
+            let fix = "and other machines get nothing more: restart posed, and please report this";
+            Problem::new("zenoh", format!("{thread} had a fault of its own, {fix}"))
         });
         let lost = self.shared.lost.swap(0, Ordering::Relaxed);
-        let slow = (lost > 0).then(|| Problem {
-            code: "zenoh".to_owned(),
-            message: format!(
-                "zenoh is too slow for this stage: {lost} of its messages to other machines were left out in the last second"
-            ),
+        let slow = (lost > 0).then(|| {
+            let rest = "of its messages to other machines were left out in the last second";
+            Problem::new("zenoh_slow", format!("zenoh is too slow for this stage: {lost} {rest}"))
+                .with("lost", lost)
         });
         broken.or_else(|| self.shared.twins.problem(&self.shared.about.key)).or(slow)
     }

@@ -63,7 +63,7 @@ impl Twins {
             "another daemon runs under the key {key} on zenoh, and hubs take the two for one: end one of them, or give one another name or \
              zenoh.key"
         );
-        (!self.seen().is_empty()).then(|| Problem { code: "zenoh".to_owned(), message })
+        (!self.seen().is_empty()).then(|| Problem::new("zenoh_twin", message).with("key", key))
     }
 
     fn seen(&self) -> MutexGuard<'_, BTreeSet<String>> {

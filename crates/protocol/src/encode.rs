@@ -274,6 +274,9 @@ fn rounded_status(status: &Status, stamp: &Stamp) -> Status {
     for sensor in &mut status.sensors {
         sensor.rate_hz = sensor.rate_hz.map(|rate| round::to(round::RATE, rate));
         sensor.age_s = sensor.age_s.map(|age| round::to(round::AGE, age));
+        for value in [&mut sensor.battery, &mut sensor.battery_v, &mut sensor.signal_dbm] {
+            *value = value.map(|value| round::to(1e3, value));
+        }
     }
     for stage in &mut status.latency {
         for value in [&mut stage.p50_ms, &mut stage.p99_ms, &mut stage.max_ms] {

@@ -241,7 +241,7 @@ async fn requests_that_cannot_be_served_get_a_sentence_and_the_connection_stays(
 async fn problems_of_the_stage_stand_until_they_are_over() {
     let server = Running::plain();
     let status = |messages: &[&str]| {
-        let problem = |message: &&str| Problem { code: "port".into(), message: (*message).to_owned() };
+        let problem = |message: &&str| Problem::new("port", *message);
         let problems = messages.iter().map(problem).collect();
         server.hub.publish_status(Status { problems, ..Status::default() });
     };

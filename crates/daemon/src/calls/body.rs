@@ -233,6 +233,11 @@ impl Guided for Body {
         let silent = self.guide.silent().map(name).collect::<Vec<_>>().join(", ");
         let now = (done, objections, silent);
         if self.reported.as_ref() != Some(&now) {
+            // For who says it in another language: what is asked for, the how-manieth, who sends nothing, why once more.
+            let result = json!({
+                "asks": self.guide.step().map(BlockKind::name), "step": done + 1, "steps": steps, "silent": now.2,
+                "objection": objection,
+            });
             let again = objection.map_or_else(String::new, |objection| format!("{objection}. Once more: "));
             let silent = match &*now.2 {
                 "" => String::new(),
@@ -240,8 +245,7 @@ impl Guided for Body {
             };
             let message = format!("{} of {steps}: {silent}{again}{prompt}", done + 1);
             self.reported = Some(now);
-            let asks = self.guide.step().map(BlockKind::name);
-            job.progress_with(Some(done as f64 / steps as f64), message, json!({ "asks": asks }));
+            job.progress_with(Some(done as f64 / steps as f64), message, result);
         }
     }
 

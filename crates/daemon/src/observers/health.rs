@@ -8,7 +8,7 @@ use super::super::fusion::Recording;
 use super::history::{History, Kept};
 use super::{Observer, Times};
 use posed_fusion::faults::Cause;
-use posed_pipeline::{BodyStatus, PipelineStatus};
+use posed_pipeline::PipelineStatus;
 use posed_protocol::{DeviceStatus, Problem, RecordingStatus, SensorStatus, StageLatency, Status};
 use posed_stage::Stage;
 use posed_stage::input::DeviceIndex;
@@ -23,6 +23,8 @@ const KEEPS_UP_MS: f64 = 50.0;
 const BEHIND_S: f64 = 3.0;
 /// Frames that say so in one status.
 const BEHIND_FRAMES: usize = 10;
+/// A battery is reported to be low below this share of its charge.
+const LOW_BATTERY: f64 = 0.1;
 /// Warnings about one device that are kept.
 const WARNINGS: usize = 4;
 
@@ -258,6 +260,9 @@ impl Health {
             age_s: age_s(counted.newest),
             lost: counted.lost,
             estimated: counted.estimated,
+            battery: counted.condition.battery,
+            battery_v: counted.condition.battery_v,
+            signal_dbm: counted.condition.signal_dbm,
         };
         Status {
             t_s: now.as_secs_f64(),
@@ -271,7 +276,7 @@ impl Health {
             }),
             free_bytes: self.disk.as_ref().and_then(FreeSpace::bytes),
             replay: None,
-            problems: self.problems(clock, &pipeline.bodies),
+            problems: self.problems(clock, pipeline),
             // The server knows and fills it in.
             clients: 0,
         }
@@ -286,36 +291,50 @@ impl Health {
         self.behind = (late_ms > KEEPS_UP_MS).then_some((from, late_ms));
     }
 
-    fn problems(&self, clock: &StageClock, bodies: &[Option<BodyStatus>]) -> Vec<Problem> {
-        let problem = |code: &str, message: String| Problem { code: code.to_owned(), message };
+    fn problems(&self, clock: &StageClock, pipeline: &PipelineStatus) -> Vec<Problem> {
         let mut problems = Vec::new();
         for device in &self.devices {
             problems.extend(
-                device.warnings.iter().map(|text| problem("device", format!("{}: {text}", device.name))),
+                device.warnings.iter().map(|text| Problem::new("device", format!("{}: {text}", device.name))),
             );
         }
-        for (body, name) in bodies.iter().zip(&self.names) {
+        for (body, name) in pipeline.bodies.iter().zip(&self.names) {
             let Some(body) = body else { continue };
             let of = if self.names.len() > 1 { format!("{name}: ") } else { String::new() };
+            let problem = |code: &str, message: String| Problem::new(code, message).with("of", &of);
             if !body.mounted {
                 let sentence = format!(
                     "{of}nobody knows how the body's sensors sit: calibrate the body (page: Calibrate; request \
                      `body.calibrate`), or set mounting = \"given\" with `mount_quat_wxyz` for each"
                 );
-                problems.push(problem("body", sentence));
+                problems.push(problem("body_not_calibrated", sentence));
             }
             problems.extend(body.faults.iter().map(|(sensor, segment, fault)| {
                 let name = self.sensors.get(usize::from(*sensor)).map_or("", |sensor| sensor.name.as_str());
-                problem("body", format!("{of}{segment}: the sensor {name} {}", emitted(*fault)))
+                problem("body_sensor", format!("{of}{segment}: the sensor {name} {}", emitted(*fault)))
+                    .with("segment", segment)
+                    .with("sensor", name)
+                    .with("cause", fault.name())
             }));
+        }
+        for (sensor, counted) in self.sensors.iter().zip(&pipeline.sensors) {
+            let Some(charge) = counted.condition.battery.filter(|charge| *charge < LOW_BATTERY) else {
+                continue;
+            };
+            let percent = format!("{:.0}", charge * 100.0);
+            let sentence = format!("the battery of {} is at {percent} %: charge it", sensor.name);
+            problems.push(
+                Problem::new("battery", sentence).with("sensor", &sensor.name).with("percent", percent),
+            );
         }
         let lasts = |from: &Timestamp| self.last_status.seconds_since(*from) > BEHIND_S;
         if let Some((_, late_ms)) = self.behind.filter(|(from, _)| lasts(from)) {
+            let late_ms = format!("{late_ms:.0}");
             let sentence = format!(
-                "this machine does not keep up: one frame in a hundred is ready more than {late_ms:.0} ms after its bytes came, and \
+                "this machine does not keep up: one frame in a hundred is ready more than {late_ms} ms after its bytes came, and \
                  devices may fall silent; end other programs, or track fewer sensors or at a lower rate"
             );
-            problems.push(problem("load", sentence));
+            problems.push(Problem::new("load", sentence).with("late_ms", late_ms));
         }
         let (left_out, begun_anew) = self.recovered;
         if left_out > 0 {
@@ -327,19 +346,21 @@ impl Health {
                 "tracking had a fault of its own and went on without the bytes that brought it ({left_out} times{anew}); \
                  please report this with a recording"
             );
-            problems.push(problem("tracking", sentence));
+            problems.push(
+                Problem::new("tracking", sentence).with("times", left_out).with("begun_anew", begun_anew),
+            );
         }
         if let Some(reason) = &self.recording_failure {
-            problems.push(problem("recording", format!("recording ended: {reason}")));
+            problems
+                .push(Problem::new("recording", format!("recording ended: {reason}")).with("reason", reason));
         }
         if let Some(jump_s) = clock.wall_clock_jump_s() {
-            problems.push(problem(
-                "wall_clock",
-                format!(
-                    "the computer's clock was set by {jump_s:+.1} s; times of this run still count from its epoch, so \
-                     restart posed before comparing with other computers"
-                ),
-            ));
+            let jump_s = format!("{jump_s:+.1}");
+            let sentence = format!(
+                "the computer's clock was set by {jump_s} s; times of this run still count from its epoch, so \
+                 restart posed before comparing with other computers"
+            );
+            problems.push(Problem::new("wall_clock", sentence).with("jump_s", jump_s));
         }
         problems
     }
@@ -416,9 +437,35 @@ mod tests {
         let health = Health::new(&Stage::parse("name = \"A\"\n").unwrap());
         let clock = StageClock::with_utc(|| UTC_NS.load(Ordering::Relaxed));
         UTC_NS.fetch_add(7_200_000_000_000, Ordering::Relaxed);
-        let problems = health.problems(&clock, &[]);
+        let pipeline =
+            posed_pipeline::Pipeline::new(&Stage::parse("name = \"A\"\n").unwrap()).unwrap().status();
+        let problems = health.problems(&clock, &pipeline);
         assert_eq!((problems.len(), problems[0].code.as_str()), (1, "wall_clock"));
         assert!(problems[0].message.contains("restart posed"), "{}", problems[0].message);
+    }
+
+    #[test]
+    fn a_battery_that_is_nearly_empty_is_a_problem_with_the_name_of_its_sensor() {
+        let stage = Stage::parse(
+            "name = \"A\"\n[[device]]\nname = \"d\"\ndriver = \"slimevr\"\nport = \"udp://0.0.0.0:6969\"\n\
+             [[sensor]]\nname = \"hips\"\ndevice = \"d\"\naddress = 1\n",
+        )
+        .unwrap();
+        let mut health = Health::new(&stage);
+        let clock = StageClock::with_utc(|| 0);
+        let mut pipeline = posed_pipeline::Pipeline::new(&stage).unwrap().status();
+        for (charge, named) in [(None, false), (Some(0.6), false), (Some(0.07), true)] {
+            pipeline.sensors[0].condition.battery = charge;
+            let status = health.status(Timestamp::ZERO, &pipeline, None, &clock);
+            assert_eq!(status.sensors[0].battery, charge);
+            let said: Vec<_> = status
+                .problems
+                .iter()
+                .filter(|problem| problem.code == "battery")
+                .map(|found| &found.message)
+                .collect();
+            assert_eq!(said, if named { vec!["the battery of hips is at 7 %: charge it"] } else { vec![] });
+        }
     }
 
     #[test]

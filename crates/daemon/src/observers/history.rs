@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use posed_drivers::Timestamp;
 
 use posed_pipeline::PipelineStatus;
-use posed_protocol::{HealthHistory, SensorHistory};
+use posed_protocol::{HealthHistory, SensorHistory, round};
 use posed_recording::Thinned;
 use posed_stage::Stage;
 use posed_stage::output::{Estimate, SensorEstimate, SensorState};
@@ -57,6 +57,8 @@ struct Bin {
     faulty: Option<f64>,
     noise_m: Option<f64>,
     clock_sigma_s: Option<f64>,
+    battery: Option<f64>,
+    signal_dbm: Option<f64>,
 }
 
 /// The steps so far; clones are the same.
@@ -84,10 +86,11 @@ impl Kept {
             let kept = self.lock();
             (kept.newest_t_s, kept.bins.iter().cloned().collect())
         };
-        let rounded = |steps: f64, value: Option<f64>| value.map(|value| (value * steps).round() / steps);
         let sensor = |(index, name): (usize, &String)| {
             let each = |steps: f64, of: fn(&Bin) -> Option<f64>| {
-                bins.iter().map(|bin| rounded(steps, bin.get(index).and_then(of))).collect::<Vec<_>>()
+                let value =
+                    |bin: &Arc<[Bin]>| bin.get(index).and_then(of).map(|value| round::to(steps, value));
+                bins.iter().map(value).collect::<Vec<_>>()
             };
             SensorHistory {
                 name: name.clone(),
@@ -96,7 +99,8 @@ impl Kept {
                 faulty: each(1e4, |bin| bin.faulty),
                 noise_m: each(1e6, |bin| bin.noise_m),
                 clock_sigma_s: each(1e7, |bin| bin.clock_sigma_s),
-                battery: vec![None; bins.len()],
+                battery: each(1e3, |bin| bin.battery),
+                signal_dbm: each(1.0, |bin| bin.signal_dbm),
             }
         };
         let sensors = self.names.iter().enumerate().map(sensor).collect();
@@ -151,7 +155,13 @@ impl History {
             let clock = gathered.device.and_then(|device| pipeline.devices.get(device)?.clock);
             let counted = pipeline.sensors.get(index);
             let (samples, lost) = counted.map_or((0, 0), |counted| (counted.samples, counted.lost));
-            Bin { clock_sigma_s: clock.map(|clock| clock.sigma_t_s), ..gathered.bin(seconds, samples, lost) }
+            let condition = counted.map(|counted| counted.condition).unwrap_or_default();
+            Bin {
+                clock_sigma_s: clock.map(|clock| clock.sigma_t_s),
+                battery: condition.battery,
+                signal_dbm: condition.signal_dbm,
+                ..gathered.bin(seconds, samples, lost)
+            }
         });
         let bin: Arc<[Bin]> = bin.collect();
         let mut kept = self.kept.lock();
@@ -205,7 +215,7 @@ impl Gathered {
             lost: share(lost, came + lost),
             faulty: share(f64::from(self.faulty), f64::from(self.frames)),
             noise_m: median_m.map(|median_m| median_m / (MEDIAN_LENGTH * VARIANCE.sqrt())),
-            clock_sigma_s: None,
+            ..Bin::default()
         }
     }
 }
@@ -254,13 +264,16 @@ mod tests {
                 history.estimate(&frame(state, 0.0));
             }
             (counted.samples, counted.lost) = (90 * second, 10 * second);
+            counted.condition.battery = Some(0.8);
             status.sensors = vec![counted];
             history.count(at(second as f64), &status);
         }
         let hour = kept.history();
         assert_eq!((hour.bin_s, hour.newest_t_s), (10.0, Some(5000.0)));
-        let SensorHistory { name, rate_hz, lost, faulty, noise_m, clock_sigma_s, battery } = &hour.sensors[0];
+        let SensorHistory { name, rate_hz, lost, faulty, noise_m, clock_sigma_s, battery, signal_dbm } =
+            &hour.sensors[0];
         assert_eq!((name.as_str(), rate_hz.len(), battery.len()), ("a", BINS, BINS));
+        assert!(battery.iter().all(|charge| *charge == Some(0.8)) && signal_dbm.iter().all(Option::is_none));
         assert!(rate_hz.iter().all(|rate| *rate == Some(90.0)), "{rate_hz:?}");
         assert!(
             lost.iter().all(|lost| *lost == Some(0.1)) && faulty.iter().all(|share| *share == Some(0.25))

@@ -121,13 +121,11 @@ impl Distributor {
             let refused = self.metrics.refused_over_limit();
             if refused > self.refused {
                 let new = refused - self.refused;
-                status.problems.push(Problem {
-                    code: "connections".to_owned(),
-                    message: format!(
-                        "{new} connections were refused because too many are open, or come at once; end programs that connect again \
-                         and again"
-                    ),
-                });
+                let sentence = format!(
+                    "{new} connections were refused because too many are open, or come at once; end programs that connect again \
+                     and again"
+                );
+                status.problems.push(Problem::new("connections", sentence).with("times", new));
                 self.refused = refused;
             }
         }

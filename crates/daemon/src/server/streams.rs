@@ -43,7 +43,7 @@ impl Streaming {
             Ok(_) => return None,
             Err(error) => error.to_string(),
         };
-        Some(Problem { code: "lsl".to_owned(), message })
+        Some(Problem::new("lsl", message))
     }
 
     /// Tells an item, if it is something to them.

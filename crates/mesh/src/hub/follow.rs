@@ -328,7 +328,7 @@ impl Work {
                 joined.version
             );
             tracing::error!("stage {}: {message}", self.follower.id);
-            let problem = Problem { code: "version".to_owned(), message };
+            let problem = Problem::new("version", message).with("version", &joined.version);
             return self.follower.board.write(&self.follower.id, |entry| entry.problems = vec![problem]);
         }
         let mut until = u64::MAX;
@@ -340,7 +340,7 @@ impl Work {
                 }
                 Err(sentence) => {
                     tracing::error!("stage {}: {sentence}", self.follower.id);
-                    let problem = Problem { code: "join".to_owned(), message: sentence };
+                    let problem = Problem::new("join", sentence);
                     return self
                         .follower
                         .board
@@ -445,7 +445,7 @@ impl Following {
 fn vanished(status: &Status) -> Status {
     let mut status = status.clone();
     let message = "the hub does not see this stage any more: its daemon has ended, or the network to it is cut; what is shown is old";
-    status.problems.push(Problem { code: "vanished".to_owned(), message: message.to_owned() });
+    status.problems.push(Problem::new("vanished", message));
     for device in &mut status.devices {
         device.state = LinkState::Silent;
         device.reason = Some("its stage has vanished".to_owned());

@@ -31,6 +31,8 @@ pub struct SensorHistory {
     pub noise_m: Vec<Option<f64>>,
     /// Standard deviation of the capture times of its device, s, at the end of the step.
     pub clock_sigma_s: Vec<Option<f64>>,
-    /// Charge of its battery, 0 to 1. No driver reports one yet: always null.
+    /// Charge of its battery at the end of the step, 0 to 1; null where its device reports none.
     pub battery: Vec<Option<f64>>,
+    /// Strength of its radio signal at the end of the step, dBm; null where its device reports none.
+    pub signal_dbm: Vec<Option<f64>>,
 }

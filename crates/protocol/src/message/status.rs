@@ -1,5 +1,7 @@
 //! Topic `status`: health of devices, sensors and daemon.
 
+use std::collections::BTreeMap;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -96,6 +98,15 @@ pub struct SensorStatus {
     pub lost: u64,
     /// Whether `lost` is partly estimated, because whole cycles left no trace in the bytes.
     pub estimated: bool,
+    /// Charge of its battery, 0 to 1; null where its device reports none, and after it is gone.
+    #[serde(default)]
+    pub battery: Option<f64>,
+    /// Voltage of its battery, V; null likewise.
+    #[serde(default)]
+    pub battery_v: Option<f64>,
+    /// Strength of its radio signal, dBm (-50 is strong, -80 weak); null likewise.
+    #[serde(default)]
+    pub signal_dbm: Option<f64>,
 }
 
 /// Latency of one stage of the flow, ms.
@@ -144,8 +155,25 @@ pub struct ReplayStatus {
 /// Something that is wrong now.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Problem {
-    /// For programs.
+    /// For programs, and for who says it in another language.
     pub code: String,
-    /// For people: what to do, in one sentence.
+    /// For people: what to do, in one sentence of English.
     pub message: String,
+    /// What the sentence names, by name: all that another language needs to say the same. Empty where only `message` has it.
+    #[serde(default)]
+    pub values: BTreeMap<String, String>,
+}
+
+impl Problem {
+    /// Something that is wrong, by its code and in a sentence.
+    pub fn new(code: &str, message: impl Into<String>) -> Self {
+        Self { code: code.to_owned(), message: message.into(), values: BTreeMap::new() }
+    }
+
+    /// The same with something that the sentence names.
+    #[must_use]
+    pub fn with(mut self, name: &str, value: impl ToString) -> Self {
+        self.values.insert(name.to_owned(), value.to_string());
+        self
+    }
 }
