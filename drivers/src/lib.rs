@@ -10,6 +10,7 @@ pub mod fastrak;
 pub mod flock;
 pub mod fuzzing;
 pub mod motionstar;
+pub mod open_imu;
 mod outbox;
 pub mod port;
 pub mod probe;
@@ -22,4 +23,4 @@ pub mod x_imu3;
 pub mod xbus;
 
 pub use sample::{Arrival, DeviceTime, Measurement, Sample, Timestamp};
-pub use session::{Condition, Counters, LineEvent, Loss, Output, SensorInfo, Session, State};
+pub use session::{Condition, Counters, Found, LineEvent, Loss, Output, SensorInfo, Session, State};

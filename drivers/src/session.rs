@@ -105,6 +105,21 @@ pub struct SensorInfo {
     pub serial: Option<String>,
 }
 
+/// A sensor that sends, and that nobody has asked for.
+#[derive(Clone, Debug, PartialEq, Plain)]
+pub struct Found {
+    /// Its device's identifier, which a stage file may name.
+    pub id: String,
+    /// Number of the sensor on that device.
+    pub sensor: u8,
+    /// Name of the device, for people; `None` where it gave none.
+    pub name: Option<String>,
+    /// Where it sits, in the device's own words.
+    pub place: Option<String>,
+    /// Samples per second that it claims, Hz.
+    pub rate_hz: Option<f64>,
+}
+
 /// What one sensor is known to have measured without its record coming in; never reset.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Plain)]
 pub struct Loss {
@@ -167,6 +182,11 @@ pub trait Session {
     }
     /// Battery and radio signal per sensor, in the order of [`Session::sensors`]; empty where the devices of a driver report neither.
     fn conditions(&self) -> &[Condition] {
+        &[]
+    }
+    /// Sensors that send and were not asked for, in the order of their coming; they feed nothing. Empty where devices do not come by
+    /// themselves.
+    fn found(&self) -> &[Found] {
         &[]
     }
 }

@@ -171,6 +171,7 @@ impl Device {
             rate_hz: clock.map(|(period_s, _)| period_s.recip()),
             counters: session.counters(),
             clock: clock.map(|(period_s, sigma_t_s)| ClockStatus { period_s, sigma_t_s }),
+            found: session.found().to_vec(),
         }
     }
 

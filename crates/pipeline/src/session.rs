@@ -4,13 +4,14 @@ use posed_drivers::Session;
 use posed_drivers::fastrak::FastrakSession;
 use posed_drivers::flock::{FlockSession, SettingsError};
 use posed_drivers::motionstar::MotionStarSession;
+use posed_drivers::open_imu::{Carrier, OpenImuSession};
 use posed_drivers::slimevr::SlimeVrSession;
 use posed_drivers::vrpn::VrpnSession;
 use posed_drivers::x_imu3::XImu3Session;
 use posed_drivers::xbus::XbusSession;
 use posed_state::State;
 
-use posed_stage::{Device, Driver};
+use posed_stage::{Device, Driver, PortAddress};
 
 /// The session of one device.
 #[derive(Clone, Debug, State)]
@@ -22,6 +23,7 @@ pub(super) enum DeviceSession {
     XImu3(#[state(inner)] Box<XImu3Session>),
     SlimeVr(#[state(inner)] Box<SlimeVrSession>),
     Vrpn(#[state(inner)] Box<VrpnSession>),
+    OpenImu(#[state(inner)] Box<OpenImuSession>),
 }
 
 impl DeviceSession {
@@ -47,6 +49,14 @@ impl DeviceSession {
                 Self::SlimeVr(Box::new(SlimeVrSession::new(settings.clone(), wanted)?))
             }
             Driver::Vrpn(settings) => Self::Vrpn(Box::new(VrpnSession::new(settings.clone(), wanted)?)),
+            Driver::OpenImu(settings) => {
+                let carrier = match device.port.parse() {
+                    Ok(PortAddress::Serial(_) | PortAddress::Tcp { .. } | PortAddress::Auto) => Carrier::Line,
+                    Ok(PortAddress::Udp { port, .. }) => Carrier::Envelopes { port },
+                    _ => Carrier::Envelopes { port: 0 },
+                };
+                Self::OpenImu(Box::new(OpenImuSession::new(settings.clone(), carrier, wanted)?))
+            }
         })
     }
 
@@ -64,6 +74,7 @@ impl DeviceSession {
             Self::XImu3(session) => session.as_ref(),
             Self::SlimeVr(session) => session.as_ref(),
             Self::Vrpn(session) => session.as_ref(),
+            Self::OpenImu(session) => session.as_ref(),
         }
     }
 
@@ -76,6 +87,7 @@ impl DeviceSession {
             Self::XImu3(session) => session.as_mut(),
             Self::SlimeVr(session) => session.as_mut(),
             Self::Vrpn(session) => session.as_mut(),
+            Self::OpenImu(session) => session.as_mut(),
         }
     }
 }

@@ -3,7 +3,7 @@
 use posed_drivers::Sample;
 use posed_state::State;
 
-use crate::clock::{ArrivalClock, Clock, Settings, Stamp};
+use crate::clock::{ArrivalClock, Clock, RadioClock, Settings, Stamp};
 use posed_stage::TimeBase;
 
 /// Interval at which units without cycles look for something new to send, s.
@@ -16,6 +16,8 @@ pub(super) enum Source {
     Cycles(Box<Clock>),
     /// Samples when there is something new.
     OnChange(ArrivalClock),
+    /// Samples on a clock of their own, behind a radio.
+    Radio(Box<RadioClock>),
 }
 
 impl Source {
@@ -23,6 +25,7 @@ impl Source {
         match base {
             TimeBase::Device | TimeBase::Unit(_) => Self::Cycles(Box::new(Clock::new(settings))),
             TimeBase::OnChange(_) => Self::OnChange(ArrivalClock::new(settings)),
+            TimeBase::Radio(_) => Self::Radio(Box::new(RadioClock::new(settings))),
         }
     }
 
@@ -30,6 +33,7 @@ impl Source {
         match self {
             Self::Cycles(clock) => clock.push(sample),
             Self::OnChange(clock) => clock.push(sample),
+            Self::Radio(clock) => clock.push(sample),
         }
     }
 
@@ -42,9 +46,16 @@ impl Source {
 
     /// The device or its line began anew, and claims this rate.
     pub(super) fn restart(&mut self, rate_hz: Option<f64>) {
-        if let Self::Cycles(clock) = self {
-            clock.restart();
-            clock.set_nominal_rate_hz(rate_hz);
+        match self {
+            Self::Cycles(clock) => {
+                clock.restart();
+                clock.set_nominal_rate_hz(rate_hz);
+            }
+            Self::Radio(clock) => {
+                clock.restart();
+                clock.set_nominal_rate_hz(rate_hz);
+            }
+            Self::OnChange(_) => {}
         }
     }
 
@@ -53,6 +64,7 @@ impl Source {
         match self {
             Self::Cycles(clock) => clock.period_or_nominal_s(),
             Self::OnChange(_) => Some(ON_CHANGE_S),
+            Self::Radio(clock) => clock.period_or_nominal_s(),
         }
     }
 
@@ -61,6 +73,7 @@ impl Source {
         match self {
             Self::Cycles(clock) => clock.period_s(),
             Self::OnChange(_) => None,
+            Self::Radio(clock) => clock.period_s(),
         }
     }
 
@@ -68,6 +81,7 @@ impl Source {
         match self {
             Self::Cycles(clock) => clock.sigma_t_s(),
             Self::OnChange(clock) => clock.sigma_t_s(),
+            Self::Radio(clock) => clock.sigma_t_s(),
         }
     }
 }

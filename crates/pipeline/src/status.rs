@@ -1,6 +1,6 @@
 //! What `status` tells of the pipeline.
 
-use posed_drivers::{Condition, Counters, State, Timestamp};
+use posed_drivers::{Condition, Counters, Found, State, Timestamp};
 
 use posed_fusion::faults::Cause;
 use posed_stage::input::SensorIndex;
@@ -46,6 +46,8 @@ pub struct DeviceStatus {
     pub counters: Counters,
     /// Clock model; absent as [`Self::rate_hz`] is.
     pub clock: Option<ClockStatus>,
+    /// Sensors that send to it and are not on the stage, as its session lists them.
+    pub found: Vec<Found>,
 }
 
 /// A device's clock model.

@@ -3,6 +3,7 @@
 use posed_drivers::fastrak::{self, FastrakSession};
 use posed_drivers::flock::{self, FlockSession, SettingsError};
 use posed_drivers::motionstar::{self, MotionStarSession};
+use posed_drivers::open_imu::{self, Carrier, OpenImuSession};
 use posed_drivers::slimevr::{self, SlimeVrSession};
 use posed_drivers::vrpn::{self, VrpnSession};
 use posed_drivers::x_imu3::{self, XImu3Session};
@@ -33,6 +34,8 @@ pub enum Driver {
     SlimeVr(slimevr::Settings),
     /// Trackers behind a VRPN server.
     Vrpn(vrpn::Settings),
+    /// Devices that speak the open format: boards that people build, and phones.
+    OpenImu(open_imu::Settings),
 }
 
 /// Noise that is the same at any distance: what is left of the law is a word's step, less than any tracker has, and the filter raises
@@ -49,6 +52,8 @@ pub enum TimeBase {
     /// None: samples come when there is something new. The number is the tracker whose packets they come in: the low byte of
     /// the address.
     OnChange(u16),
+    /// A clock in each unit, by its address, behind a radio: what it sends comes late by tens of milliseconds, now more, now less.
+    Radio(u16),
 }
 
 impl Driver {
@@ -62,17 +67,18 @@ impl Driver {
             Self::XImu3(_) => "x-imu3",
             Self::SlimeVr(_) => "slimevr",
             Self::Vrpn(_) => "vrpn",
+            Self::OpenImu(_) => "open-imu",
         }
     }
 
     /// Whether the sensors are body-worn IMUs: they measure an orientation and no position.
     pub fn is_inertial(&self) -> bool {
-        matches!(self, Self::Xbus(_) | Self::XImu3(_) | Self::SlimeVr(_))
+        matches!(self, Self::Xbus(_) | Self::XImu3(_) | Self::SlimeVr(_) | Self::OpenImu(_))
     }
 
     /// Whether the sensors of an inertial driver send the magnetic field; false for magnetic trackers.
     pub fn measures_field(&self) -> bool {
-        matches!(self, Self::Xbus(_) | Self::XImu3(_))
+        matches!(self, Self::Xbus(_) | Self::XImu3(_) | Self::OpenImu(_))
     }
 
     /// Noise of the poses that the device measures, until something is learnt of it: that of a magnetic tracker grows with the distance
@@ -91,6 +97,8 @@ impl Driver {
             Self::XImu3(_) | Self::Fastrak(_) | Self::Vrpn(_) => TimeBase::Unit(address),
             // The sensors of a tracker share its address's low byte, and its packets.
             Self::SlimeVr(_) => TimeBase::OnChange(address & 0xFF),
+            // The sensors of a device have its clock, and times of their own on it.
+            Self::OpenImu(_) => TimeBase::Radio(address),
             _ => TimeBase::Device,
         }
     }
@@ -133,6 +141,7 @@ impl Driver {
                 matches!(port, PortAddress::Tcp { .. } | PortAddress::Udp { .. }),
                 "tcp://HOST:6000 or udp://HOST:5000",
             ),
+            (Self::OpenImu(_), _) => (true, ""),
             (Self::Vrpn(_), port) => (matches!(port, PortAddress::Tcp { .. }), "tcp://HOST:3883"),
             (Self::XImu3(_), _) => (true, ""),
             (_, port) => (
@@ -159,6 +168,7 @@ impl Driver {
             Self::XImu3(settings) => XImu3Session::new(settings.clone(), wanted).map(drop),
             Self::SlimeVr(settings) => SlimeVrSession::new(settings.clone(), wanted).map(drop),
             Self::Vrpn(settings) => VrpnSession::new(settings.clone(), wanted).map(drop),
+            Self::OpenImu(settings) => OpenImuSession::new(settings.clone(), Carrier::Line, wanted).map(drop),
         }
     }
 }

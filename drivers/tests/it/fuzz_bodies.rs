@@ -54,6 +54,7 @@ fn the_corpus_leads_to_samples() {
         ("x_imu3", fuzzing::x_imu3),
         ("fastrak", fuzzing::fastrak),
         ("motionstar", fuzzing::motionstar),
+        ("open_imu", fuzzing::open_imu),
         ("slimevr", fuzzing::slimevr),
         ("vrpn", fuzzing::vrpn),
     ] {
@@ -71,7 +72,7 @@ fn the_corpus_leads_to_samples() {
 #[test]
 fn drivers_bear_anything() {
     let mut noise = Noise::new(7);
-    let mut published = [0; 7];
+    let mut published = [0; 8];
     for _ in 0..400 {
         let items = crate::matrix::xbus_items();
         let chain = crate::matrix::xbus_chain();
@@ -89,6 +90,7 @@ fn drivers_bear_anything() {
         let body = slime::motion_body(0, [1.0, 0.0, 0.0, 0.0], [0.0; 3]);
         Datagram { peer, data: &slime::encode(1, 23, &body) }.encode_into(&mut chunk);
         published[5] += fuzzing::slimevr(&input(&mut noise, None, &chunk, &chunk));
+        published[7] += fuzzing::open_imu(&input(&mut noise, None, &[], &crate::matrix::open_imu_line()));
         published[6] += fuzzing::vrpn(&input(&mut noise, Some((0, 1)), &[], &crate::matrix::vrpn()));
         // The messages of one device at the driver of another, and noise.
         let foreign = [noise.bytes(40), items, chain, crate::matrix::x_imu3_binary()].concat();

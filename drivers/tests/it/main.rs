@@ -6,6 +6,7 @@ mod fastrak;
 mod fuzz_bodies;
 mod matrix;
 mod motionstar;
+mod open_imu;
 mod rig;
 mod slimevr;
 mod vrpn;

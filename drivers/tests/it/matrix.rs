@@ -12,6 +12,7 @@ use posed_drivers::fastrak::wire as fastrak;
 use posed_drivers::flock::parser;
 use posed_drivers::flock::wire as flock;
 use posed_drivers::motionstar::wire as birdnet;
+use posed_drivers::open_imu::wire::{self as open_imu, csv, json, osc};
 use posed_drivers::slimevr::wire as slime;
 use posed_drivers::vrpn::reader::{Piece, Reader};
 use posed_drivers::vrpn::wire as vrpn_wire;
@@ -261,6 +262,53 @@ fn decode_slimevr(pieces: &[&[u8]]) -> Vec<String> {
     out
 }
 
+/// A sample of the open format, as a line.
+pub(crate) fn open_imu_line() -> Vec<u8> {
+    csv::line("I,esp-7f3a,0,41,1234567,0.1000,-0.0500,0.0000,0.0000,0.0000,9.8067")
+}
+
+fn open_imu_osc() -> Vec<u8> {
+    let mut arguments = vec![osc::Value::Int(41), osc::Value::Long(1_234_567)];
+    arguments.extend([0.1, -0.05, 0.0, 0.0, 0.0, 9.8067].map(osc::Value::Float));
+    osc::Writer::bundle(&[osc::Writer::message("esp-7f3a", "0", &arguments)])
+}
+
+fn decode_open_imu_lines(pieces: &[&[u8]]) -> Vec<String> {
+    let mut lines = x_imu3::wire::Lines::default();
+    let mut out = Vec::new();
+    for piece in pieces {
+        lines.push(piece);
+        while let Some(line) = lines.find() {
+            if let Some((_, Some((id, open_imu::Message::Motion { motion: Ok(motion), .. })))) =
+                csv::find(lines.line(line), false)
+            {
+                out.push(format!("{id} {motion:?}"));
+            }
+        }
+    }
+    out
+}
+
+fn decode_open_imu_datagrams(pieces: &[&[u8]]) -> Vec<String> {
+    let mut out = Vec::new();
+    for datagram in pieces.iter().flat_map(|piece| datagrams(piece)).flatten() {
+        if open_imu::Kind::of(datagram.data) == open_imu::Kind::Osc {
+            osc::messages(datagram.data, &mut |message| {
+                if let Ok((id, open_imu::Message::Motion { motion: Ok(motion), .. })) = message {
+                    out.push(format!("{id} {motion:?}"));
+                }
+            });
+        } else {
+            let _ = json::items(datagram.data, &mut |item| {
+                if let json::Item::Message(open_imu::Message::Motion { motion: Ok(motion), .. }) = item {
+                    out.push(format!("{motion:?}"));
+                }
+            });
+        }
+    }
+    out
+}
+
 const FLOCK: flock::Shape =
     flock::Shape { format: flock::Format::PositionQuaternion, button: false, group: true };
 
@@ -299,6 +347,7 @@ fn decoders() -> Vec<Decoder> {
     let text = x_imu3::data::encode_text(b'I', 1_000_000, &[10.0, -20.0, 30.0, 0.25, -0.5, 1.0]);
     let motion = slime::encode(7, 23, &slime::motion_body(0, q, [1.0, -2.5, 0.5]));
     let peer = SocketAddr::from(([192, 0, 2, 1], 6969));
+    let text_message = br#"{"n":41,"t":1234567,"g":[0.1,-0.05,0],"a":[0,0,9.80665]}"#;
     vec![
         Decoder { has_checksum: true, lost_after: 0, ..stream("xbus mtdata2", xbus_items(), decode_xbus) },
         Decoder {
@@ -318,6 +367,27 @@ fn decoders() -> Vec<Decoder> {
         Decoder {
             is_stream: false,
             ..stream("slimevr", Datagram { peer, data: &motion }.encode(), decode_slimevr)
+        },
+        Decoder {
+            has_checksum: true,
+            lost_after: 0,
+            ..stream("open-imu lines", open_imu_line(), decode_open_imu_lines)
+        },
+        Decoder {
+            is_stream: false,
+            ..stream(
+                "open-imu osc",
+                Datagram { peer, data: &open_imu_osc() }.encode(),
+                decode_open_imu_datagrams,
+            )
+        },
+        Decoder {
+            is_stream: false,
+            ..stream(
+                "open-imu json",
+                Datagram { peer, data: text_message }.encode(),
+                decode_open_imu_datagrams,
+            )
         },
     ]
 }

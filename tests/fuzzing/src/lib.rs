@@ -46,6 +46,7 @@ pub const TARGETS: &[Target] = &[
     target("x_imu3", |data| _ = drivers::x_imu3(data)),
     target("fastrak", |data| _ = drivers::fastrak(data)),
     target("motionstar", |data| _ = drivers::motionstar(data)),
+    target("open_imu", |data| _ = drivers::open_imu(data)),
     target("slimevr", |data| _ = drivers::slimevr(data)),
     target("vrpn", |data| _ = drivers::vrpn(data)),
     target("client_message", messages::client),

@@ -363,13 +363,14 @@ const TABLES: [&str; 8] = [
 const OF_A_HUB: &str = r#"{"type":"subscribe","id":1,"topics":["sensors"],"stages":["s"]}"#;
 
 /// The stage files of the documents, and the demo's with its scenario.
-const STAGES: [(&str, &str); 10] = [
+const STAGES: [(&str, &str); 11] = [
     ("demo", include_str!("../../../config/demo.toml")),
     ("fastrak", include_str!("../../../config/fastrak.toml")),
     ("field-pole", include_str!("../../../config/field-pole.toml")),
     ("flock-group", include_str!("../../../config/flock-group.toml")),
     ("many-devices", include_str!("../../../config/many-devices.toml")),
     ("motionstar", include_str!("../../../config/motionstar.toml")),
+    ("open-imu", include_str!("../../../config/open-imu.toml")),
     ("slimevr", include_str!("../../../config/slimevr.toml")),
     ("vrpn-anchor", include_str!("../../../config/vrpn-anchor.toml")),
     ("x-imu3-udp", include_str!("../../../config/x-imu3-udp.toml")),

@@ -32,6 +32,7 @@ mod arrival;
 mod doubt;
 mod interval;
 pub mod offset;
+mod radio;
 mod reads;
 mod window;
 
@@ -42,6 +43,7 @@ use std::time::Duration;
 pub use arrival::ArrivalClock;
 use doubt::{Count, Doubt, Opinion};
 use interval::Interval;
+pub use radio::RadioClock;
 use reads::{Evidence, Reads};
 use window::{Fit, Nominal, Window};
 

@@ -25,7 +25,7 @@ pub(super) fn check(root: &Item<'_, '_>, stage: &Stage, notes: &mut Notes<'_>) {
             let message = format!("the driver {} cannot work so", device.driver.word());
             notes.problem(&at, error.key, message, format!("write {}", error.expected));
         }
-        let raw = matches!(device.driver, Driver::Xbus(_) | Driver::XImu3(_));
+        let raw = matches!(device.driver, Driver::Xbus(_) | Driver::XImu3(_) | Driver::OpenImu(_));
         for (_, item) in of_device().filter(|_| !raw) {
             for key in ["magnetometer", "gyro_delay_ms"] {
                 if let Some(value) = item.get(key) {
@@ -44,7 +44,8 @@ fn port(device: &Device, item: &Item<'_, '_>, notes: &mut Notes<'_>) {
         let message = format!("{} cannot be at `{}`", device.driver.word(), device.port);
         notes.problem(&at("port"), "port", message, format!("write {instead}"));
     }
-    let connects = matches!(address, PortAddress::Udp { .. }) && !matches!(device.driver, Driver::SlimeVr(_));
+    let serves = matches!(device.driver, Driver::SlimeVr(_) | Driver::OpenImu(_));
+    let connects = matches!(address, PortAddress::Udp { .. }) && !serves;
     if device.local_port.is_some() && !connects {
         let fix = "remove the key; it is for devices at udp://HOST:PORT";
         notes.problem(&at("local_port"), "local_port", "this port has no other end to choose", fix);
