@@ -17,7 +17,7 @@ use posed_drivers::port::{self, Options, Port, PortError, Stream, Udp};
 use posed_drivers::probe::{Identity, Inquiry, NoAnswer};
 use posed_drivers::session::SensorInfo;
 use posed_drivers::x_imu3::probe::{ANNOUNCEMENTS, Announcement};
-use posed_drivers::{Output, Timestamp, fastrak, flock, motionstar, vrpn, x_imu3, xbus};
+use posed_drivers::{Output, Timestamp, fastrak, flock, motionstar, open_imu, vrpn, x_imu3, xbus};
 use tokio::net::UdpSocket;
 
 use super::clock::StageClock;
@@ -43,12 +43,14 @@ pub enum Kind {
     MotionStar,
     /// VRPN server.
     Vrpn,
+    /// Devices that speak the open format.
+    OpenImu,
 }
 
 impl Kind {
     /// All that may be on a serial port, in the order in which a port is asked: a later question means nothing to
     /// the devices before it.
-    pub const SERIAL: [Self; 4] = [Self::Flock, Self::Xbus, Self::XImu3, Self::Fastrak];
+    pub const SERIAL: [Self; 5] = [Self::Flock, Self::Xbus, Self::XImu3, Self::Fastrak, Self::OpenImu];
 
     /// The driver's word in the stage file.
     pub fn word(self) -> &'static str {
@@ -59,6 +61,7 @@ impl Kind {
             Self::Fastrak => "fastrak",
             Self::MotionStar => "motionstar",
             Self::Vrpn => "vrpn",
+            Self::OpenImu => "open-imu",
         }
     }
 
@@ -69,6 +72,7 @@ impl Kind {
             Self::Xbus => &xbus::probe::BAUD_RATES,
             Self::XImu3 => &x_imu3::probe::BAUD_RATES,
             Self::Fastrak => &fastrak::probe::BAUD_RATES,
+            Self::OpenImu => &open_imu::probe::BAUD_RATES,
             Self::MotionStar | Self::Vrpn => &[],
         }
     }
@@ -82,6 +86,7 @@ impl Kind {
             Driver::Fastrak(_) => Some(Self::Fastrak),
             Driver::MotionStar(_) => Some(Self::MotionStar),
             Driver::Vrpn(_) => Some(Self::Vrpn),
+            Driver::OpenImu(_) => Some(Self::OpenImu),
             Driver::SlimeVr(_) => None,
         }
     }
@@ -145,6 +150,7 @@ impl Probe {
             Kind::Fastrak => fastrak::probe::inquiry(now),
             Kind::MotionStar => motionstar::probe::inquiry(now),
             Kind::Vrpn => vrpn::probe::inquiry(now),
+            Kind::OpenImu => open_imu::probe::inquiry(now),
         };
         Self::Other(Box::new(inquiry))
     }
@@ -217,7 +223,7 @@ fn of_flock(findings: &Findings) -> Answer {
 /// How the port of a device is opened: its line rate, and on UDP whether this computer is the server (SlimeVR) or a peer.
 pub fn options(device: &Device) -> Options {
     let udp = match device.driver {
-        Driver::SlimeVr(_) => Udp::Server,
+        Driver::SlimeVr(_) | Driver::OpenImu(_) => Udp::Server,
         _ => Udp::Peer { local_port: device.local_port },
     };
     Options { baud: device.baud, udp }
@@ -341,6 +347,34 @@ async fn collect(socket: &UdpSocket, time: Duration, each: &mut impl FnMut(&[u8]
             each(&buffer[..n]);
         }
     }
+}
+
+/// Devices that speak the open format and send to a port of this computer within `time`, by port; ports at which nobody sends are left out.
+/// Whoever looks for a server is answered, so that devices which wait for one begin to send. Takes the whole `time`.
+pub async fn open_imus(time: Duration) -> Vec<(u16, open_imu::probe::Heard)> {
+    let [osc, csv] = open_imu::probe::PORTS;
+    let (first, second) = tokio::join!(open_imus_at(osc, time), open_imus_at(csv, time));
+    [(osc, first), (csv, second)].into_iter().filter_map(|(port, heard)| Some((port, heard?))).collect()
+}
+
+/// The same at one port. Where it is taken, a daemon serves them already.
+async fn open_imus_at(port: u16, time: Duration) -> Option<open_imu::probe::Heard> {
+    let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, port)).await.ok()?;
+    let mut heard = open_imu::probe::Heard::default();
+    let mut buffer = [0; 1500];
+    let clock = StageClock::start();
+    let end = clock.instant(clock.now() + time);
+    while let Ok(received) = tokio::time::timeout_at(end.into(), socket.recv_from(&mut buffer)).await {
+        // A datagram that cannot be received is none.
+        let Ok((n, peer)) = received else { continue };
+        if open_imu::wire::Kind::of(&buffer[..n]) == open_imu::wire::Kind::Discovery {
+            let answer = open_imu::wire::discovered("posed", 0, port, port);
+            // Who does not get it asks again.
+            let _ = socket.send_to(&answer, peer).await;
+        }
+        heard.datagram(&buffer[..n]);
+    }
+    heard.identity().is_some().then_some(heard)
 }
 
 /// Network addresses of the SlimeVR trackers that look for a server within `time`, like `A4:CF:12:D4:E5:F6`, each once, in the

@@ -169,6 +169,7 @@ fn sentences(port: &FoundPort) -> String {
             "x-imu3" => "x-IMU3",
             "slimevr" => "SlimeVR trackers",
             "vrpn" => "VRPN server",
+            "open-imu" => "boards of the open format",
             other => other,
         };
         let model = port.model.as_deref().map(|model| format!(" ({model})")).unwrap_or_default();

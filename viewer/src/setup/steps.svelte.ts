@@ -13,7 +13,7 @@ export type Step = (typeof STEPS)[number];
 export type Standing = "good" | "care" | "bad" | "open";
 
 /** Drivers whose units send angular velocity and specific force. */
-const INERTIAL = ["xbus", "x-imu3", "slimevr"];
+const INERTIAL = ["xbus", "x-imu3", "slimevr", "open-imu"];
 
 /** Sensors that are worn but sit on no segment. */
 export function unplaced(): string[] {

@@ -42,15 +42,19 @@ fn additions(port: &FoundPort, driver: &str, taken: &mut Vec<String>) -> Vec<Cha
         }
     }
     // The device lists who its trackers are, and its sensors have their places in that list.
-    let by_list = matches!(driver, "slimevr" | "vrpn");
-    if by_list {
+    let list = match driver {
+        "slimevr" | "vrpn" => Some("trackers"),
+        "open-imu" => Some("devices"),
+        _ => None,
+    };
+    if let Some(list) = list {
         let mut listed: Vec<&str> = Vec::new();
         for tracker in port.sensors.iter().filter_map(|sensor| sensor.serial.as_deref()) {
-            if !listed.contains(&tracker) {
-                listed.push(tracker);
-            }
+            // The second sensor of a board is `board/1`.
+            let device = if driver == "open-imu" { tracker.split('/').next() } else { Some(tracker) };
+            listed.extend(device.filter(|device| !listed.contains(device)));
         }
-        set("trackers", json!(listed));
+        set(list, json!(listed));
     }
     let mut changes = vec![Change::Add { table: Table::Device, keys }];
     let prefix = if device == short { String::new() } else { format!("{device}-") };
@@ -60,7 +64,7 @@ fn additions(port: &FoundPort, driver: &str, taken: &mut Vec<String>) -> Vec<Cha
         keys.insert("name".to_owned(), json!(name));
         keys.insert("device".to_owned(), json!(device));
         keys.insert("address".to_owned(), json!(sensor.address));
-        if let Some(serial) = sensor.serial.as_deref().filter(|_| !by_list) {
+        if let Some(serial) = sensor.serial.as_deref().filter(|_| list.is_none()) {
             keys.insert("serial".to_owned(), json!(serial));
         }
         changes.push(Change::Add { table: Table::Sensor, keys });
@@ -86,6 +90,7 @@ fn names(driver: &str) -> (&str, &str) {
         "x-imu3" => ("imu", "imu"),
         "slimevr" => ("trackers", "slime"),
         "vrpn" => ("mocap", "seen"),
+        "open-imu" => ("boards", "board"),
         other => (other, "sensor"),
     }
 }
@@ -165,11 +170,19 @@ mod tests {
                 sensors: vec![FoundSensor { address: 1, serial: None }],
                 ..report("fastrak", "/dev/ttyUSB1", &[])
             },
+            report(
+                "open-imu",
+                "udp://0.0.0.0:9301",
+                &[(1, "esp-7f3a"), (2, "esp-7f3b"), (0x101, "esp-7f3a/1")],
+            ),
             report("vrpn", "tcp://10.0.0.9:3883", &[(1, "Head"), (2, "Wand \"A\""), (258, "Wand \"A\"")]),
         ];
         let stage = Stage::parse(&text(&ports, &[])).unwrap();
         let drivers: Vec<&str> = stage.devices.iter().map(|device| device.driver.word()).collect();
-        assert_eq!(drivers, ["xbus", "x-imu3", "x-imu3", "slimevr", "motionstar", "fastrak", "vrpn"]);
+        assert_eq!(
+            drivers,
+            ["xbus", "x-imu3", "x-imu3", "slimevr", "motionstar", "fastrak", "open-imu", "vrpn"]
+        );
         assert_eq!((stage.devices[2].name.as_str(), stage.devices[1].local_port), ("imu-2", Some(8001)));
         assert_eq!(stage.sensors[1].serial.as_deref(), Some("00342D08"));
     }

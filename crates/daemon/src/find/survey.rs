@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use tokio::task::JoinSet;
 
-use super::{ANNOUNCED, Answer, Kind, announcements, ask, slimevr_trackers};
+use super::{ANNOUNCED, Answer, Kind, announcements, ask, open_imus, slimevr_trackers};
 use crate::clock::StageClock;
 use posed_drivers::flock::examine::Failure;
 use posed_drivers::port::{self, Options, PortError};
@@ -57,7 +57,11 @@ pub async fn ports(
 
 /// Units that announce themselves on the network, and trackers that look for a server.
 pub async fn network() -> Vec<FoundPort> {
-    let (units, trackers) = tokio::join!(announcements(ANNOUNCED), slimevr_trackers(ANNOUNCED + ANNOUNCED));
+    let (units, trackers, open) = tokio::join!(
+        announcements(ANNOUNCED),
+        slimevr_trackers(ANNOUNCED + ANNOUNCED),
+        open_imus(ANNOUNCED + ANNOUNCED)
+    );
     let mut reports: Vec<FoundPort> = units
         .unwrap_or_default()
         .into_iter()
@@ -80,6 +84,11 @@ pub async fn network() -> Vec<FoundPort> {
             sensors: sensors.collect(),
             ..FoundPort::default()
         });
+    }
+    for (port, heard) in open {
+        let Some(identity) = heard.identity() else { continue };
+        let answer = Answer { identity, addressing: None };
+        reports.push(found(&format!("udp://0.0.0.0:{port}"), Kind::OpenImu, 0, answer));
     }
     reports
 }
