@@ -98,7 +98,8 @@ impl Host {
                 let port = format!("tcp://{}", tcp.address);
                 tasks.spawn(run(device, tcp, clock, watcher, stopped));
                 port
-            } else if device.port().starts_with("udp://") && driver == "slimevr" {
+            } else if device.port().starts_with("udp://") && matches!(driver.as_str(), "slimevr" | "open-imu")
+            {
                 let server = loopback(device.port())?;
                 tasks.spawn(run(device, Units::new(server), clock, watcher, stopped));
                 format!("udp://{server}")
@@ -110,6 +111,9 @@ impl Host {
                 }
                 tasks.spawn(run(device, udp, clock, watcher, stopped));
                 port
+            } else if device.port() == "websocket" {
+                // A phone comes by itself, over the daemon's own port: there is none to open.
+                device.port().to_owned()
             } else {
                 let file_name = name.chars().map(|c| if c.is_alphanumeric() || c == '-' { c } else { '_' });
                 let link = folder.join(file_name.collect::<String>());

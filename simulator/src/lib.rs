@@ -30,6 +30,7 @@ pub mod magnetic;
 pub mod motion;
 mod motion_file;
 mod motionstar;
+mod open_imu;
 mod port;
 pub mod primitives;
 pub mod pty;

@@ -213,6 +213,9 @@ pub struct DeviceScenario {
     pub extended_range: Option<bool>,
     /// How good inertial sensors are.
     pub imu: ImuClass,
+    /// What the radio of a device behind `udp://` or a websocket adds at most to the time of a datagram, ms: any time up to it is as likely,
+    /// and none of a unit's datagrams overtakes another.
+    pub radio_jitter_ms: f64,
     /// What samples of an `xbus` device are of its period.
     pub sampling: Sampling,
     /// What answers as `xbus`; absent: an MTi where there is one sensor, else a chain.
@@ -247,6 +250,7 @@ impl Default for DeviceScenario {
             addressing: None,
             extended_range: None,
             imu: ImuClass::default(),
+            radio_jitter_ms: 0.0,
             sampling: Sampling::default(),
             xbus: None,
             faults: Vec::new(),

@@ -4,7 +4,7 @@
 //! which the host can read them, in an envelope ([`posed_drivers::datagram`]) where several units share a
 //! server, and the coming and going of the network.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::net::SocketAddr;
 use std::time::Duration;
 
@@ -38,8 +38,8 @@ struct Flight {
 /// The network of one device. Which datagrams are hit is seeded.
 ///
 /// Modelled: a latency of 0.3 ms, datagrams that the script loses, doubles, delays or reorders (15 ms late; as many as it says, or
-/// as come in the fault's span), and a network that goes away. Only datagrams with measurements are lost, doubled or reordered, and none from the host. Jitter and congestion are
-/// not modelled.
+/// as come in the fault's span), the jitter of a radio, and a network that goes away. Only datagrams with measurements are lost, doubled or
+/// reordered, and none from the host. Congestion is not modelled.
 #[derive(Debug)]
 pub struct UdpNetwork {
     /// Datagrams still to hit, next one first: from when on and until when, for a fault does not outlast its span.
@@ -51,10 +51,15 @@ pub struct UdpNetwork {
     /// In the order of their deliveries.
     flights: VecDeque<Flight>,
     output: VecDeque<(Timestamp, LineOutput)>,
+    /// What is added to each datagram at most, and when the latest of each unit comes: none overtakes another.
+    jitter: Duration,
+    random: Random,
+    delivered: BTreeMap<Option<SocketAddr>, Timestamp>,
 }
 
 impl UdpNetwork {
-    pub(crate) fn new(faults: &[Fault], mut random: Random) -> Self {
+    /// A network that adds up to `jitter` to each datagram.
+    pub(crate) fn new(faults: &[Fault], jitter: Duration, mut random: Random) -> Self {
         let mut fates: Vec<([Timestamp; 2], Fate, &'static str)> = Vec::new();
         let mut plugging = Vec::new();
         let mut delays = Vec::new();
@@ -90,6 +95,9 @@ impl UdpNetwork {
             plugged: true,
             flights: VecDeque::new(),
             output: VecDeque::new(),
+            jitter,
+            random,
+            delivered: BTreeMap::new(),
         }
     }
 
@@ -109,7 +117,13 @@ impl UdpNetwork {
         let mut records: Vec<Loss> = wire.iter().flat_map(|byte| &byte.record).map(|r| r.loss()).collect();
         records.dedup();
         let held = self.delays.iter().find(|&&(from, to)| from <= sent && sent < to);
-        let deliver = held.map_or(sent, |&(_, to)| to) + LATENCY;
+        let mut deliver = held.map_or(sent, |&(_, to)| to) + LATENCY;
+        if self.jitter > Duration::ZERO {
+            deliver = deliver + self.jitter.mul_f64(self.random.uniform());
+            let last = self.delivered.entry(from).or_insert(deliver);
+            deliver = deliver.max(*last);
+            *last = deliver;
+        }
         // Only datagrams with data are hit, so that the script states what is lost.
         while self.fates.front().is_some_and(|&([_, until], ..)| until < sent) {
             self.fates.pop_front();
@@ -185,7 +199,7 @@ mod tests {
 
     /// Sends a numbered datagram every 10 ms, and gives what arrives.
     fn run(faults: &[Fault]) -> (Vec<(Timestamp, LineOutput)>, Vec<u8>) {
-        let mut network = UdpNetwork::new(faults, Random::new(3, Purpose::Faults(0)));
+        let mut network = UdpNetwork::new(faults, Duration::ZERO, Random::new(3, Purpose::Faults(0)));
         let mut transmitter = Transmitter::new(100_000_000);
         let mut output = Vec::new();
         for cycle in 0..100u8 {

@@ -16,6 +16,8 @@ pub enum ImuClass {
     Mtx,
     /// A bare chip.
     Mpu,
+    /// A present-day chip on somebody's own board or in a phone, calibrated as it corrects itself.
+    Board,
 }
 
 /// Errors of three axes of one kind, in the unit of what they measure; the default has none. What is drawn is drawn from the
@@ -68,6 +70,7 @@ impl ImuErrors {
     /// The errors of a class; the figures are those of the makers' data sheets.
     pub fn of(class: ImuClass) -> Self {
         let degree = 1f64.to_radians();
+        let g = super::GRAVITY_M_S2;
         let filter =
             FilterErrors { tilt_rad: 0.5 * degree, heading_rad: 1.0 * degree, ..FilterErrors::default() };
         match class {
@@ -130,6 +133,37 @@ impl ImuErrors {
                     misalignment: 0.01,
                     range: 96.0,
                     step: 0.6 / 50.0,
+                },
+                filter: FilterErrors { tilt_rad: 1.0 * degree, heading_rad: 2.0 * degree, ..filter },
+            },
+            // As the data sheets of BNO085 and ICM-42688 have it.
+            ImuClass::Board => Self {
+                gyroscope: AxisErrors {
+                    noise_density: 0.005 * degree,
+                    bias: 0.2 * degree,
+                    bias_walk: 0.003 * degree,
+                    scale: 5e-3,
+                    misalignment: 5e-3,
+                    range: 2000.0 * degree,
+                    step: 2000.0 * degree / 32768.0,
+                },
+                accelerometer: AxisErrors {
+                    noise_density: 100e-6 * g,
+                    bias: 0.01 * g,
+                    bias_walk: 2e-4,
+                    scale: 5e-3,
+                    misalignment: 5e-3,
+                    range: 8.0 * g,
+                    step: 8.0 * g / 32768.0,
+                },
+                magnetometer: AxisErrors {
+                    noise_density: 2e-3,
+                    bias: 0.03,
+                    bias_walk: 0.0,
+                    scale: 0.01,
+                    misalignment: 0.01,
+                    range: 96.0,
+                    step: 0.3 / 50.0,
                 },
                 filter: FilterErrors { tilt_rad: 1.0 * degree, heading_rad: 2.0 * degree, ..filter },
             },

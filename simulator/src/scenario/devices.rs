@@ -15,6 +15,7 @@ use crate::inertial::{FilterErrors, Imu, ImuErrors};
 use crate::line::{Line, LineConfig};
 use crate::magnetic::{Scene, Station};
 use crate::motionstar::{Bird, MotionStar};
+use crate::open_imu::{self, OpenImu};
 use crate::random::{Purpose, Random};
 use crate::slimevr::{self, SlimeVr};
 use crate::stage::Link;
@@ -67,12 +68,13 @@ impl Scenario {
             "x-imu3" => Box::new(parts.x_imu3()?),
             "slimevr" => Box::new(parts.slimevr()?),
             "motionstar" => Box::new(parts.motionstar()?),
+            "open-imu" => Box::new(parts.open_imu()?),
             "fastrak" => Box::new(parts.fastrak()?),
             "vrpn" => Box::new(parts.vrpn()?),
             driver => {
                 return Err(parts.wrong(format!(
                     "driver `{driver}` cannot be simulated, only flock-of-birds, xbus, x-imu3, slimevr, motionstar, \
-                     fastrak and vrpn"
+                     fastrak, vrpn and open-imu"
                 )));
             }
         };
@@ -113,8 +115,9 @@ impl Parts<'_> {
 
     fn link(&self) -> Link {
         let random = Random::new(self.scenario.seed, Purpose::Faults(self.index));
-        if self.spec.port().starts_with("udp://") {
-            return Link::UdpNetwork(UdpNetwork::new(&self.given.faults, random));
+        if self.spec.port().starts_with("udp://") || self.spec.port() == "websocket" {
+            let jitter = Duration::from_secs_f64(self.given.radio_jitter_ms.max(0.0) * 1e-3);
+            return Link::UdpNetwork(UdpNetwork::new(&self.given.faults, jitter, random));
         }
         let config = LineConfig {
             baud: self.baud(),
@@ -222,6 +225,37 @@ impl Parts<'_> {
                 .into_iter()
                 .map(|(number, mac, sensors)| slimevr::Tracker::new(number, mac, sensors, chassis));
             SlimeVr::new(trackers.collect())
+        }))
+    }
+
+    fn open_imu(&self) -> Result<Powered<OpenImu>, ScenarioError> {
+        let carrier = match self.spec.port() {
+            "websocket" => open_imu::Carrier::Browser,
+            port if port.starts_with("udp://") && port.ends_with(":9302") => {
+                open_imu::Carrier::Lines { on_wire: false }
+            }
+            port if port.starts_with("udp://") => open_imu::Carrier::Osc,
+            _ => open_imu::Carrier::Lines { on_wire: true },
+        };
+        let numbers: BTreeSet<u16> = self.sensors.iter().map(|&(address, _)| address & 0xFF).collect();
+        if !numbers.iter().all(|number| (1..=64).contains(number)) {
+            return Err(self.wrong("the address of a sensor is 256 * sensor + device, devices from 1 to 64"));
+        }
+        let devices = numbers.into_iter().map(|number| {
+            let id = self.spec.devices.get(usize::from(number) - 1).cloned();
+            let sensors = self.sensors.iter().filter(|&&(address, _)| address & 0xFF == number);
+            let sensors = sensors.filter_map(|&(address, _)| {
+                let imu = self.imu(address, |errors| FilterErrors { any_heading: true, ..errors })?;
+                Some(((address >> 8) as u8, imu))
+            });
+            (number, id.unwrap_or_else(|| format!("device-{number}")), sensors.collect())
+        });
+        let devices: Vec<(u16, String, Vec<(u8, Imu)>)> = devices.collect();
+        Ok(Powered::new(self.config(), self.random(), |chassis| {
+            let boards = devices
+                .into_iter()
+                .map(|(number, id, sensors)| open_imu::Board::new(number, id, carrier, sensors, chassis));
+            OpenImu::new(boards.collect())
         }))
     }
 

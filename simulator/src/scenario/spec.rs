@@ -56,7 +56,7 @@ impl StageSpec {
 pub struct DeviceSpec {
     /// Its name, by which a scenario and the sensors name it.
     pub name: String,
-    /// Its driver: `flock-of-birds`, `xbus`, `x-imu3`, `slimevr`, `motionstar`, `fastrak`, `vrpn`.
+    /// Its driver: `flock-of-birds`, `xbus`, `x-imu3`, `slimevr`, `motionstar`, `fastrak`, `vrpn`, `open-imu`.
     pub driver: String,
     /// Its port: `tcp://...` and `udp://...` name a network, anything else a serial line; empty by default. `auto` of SlimeVR is
     /// `udp://127.0.0.1:6969`.
@@ -66,6 +66,9 @@ pub struct DeviceSpec {
     /// `A4:CF:12:D4:E5:F6` (SlimeVR; a unit without one gets an address of its own), names of trackers (VRPN).
     #[serde(default, rename = "trackers")]
     pub serials: Vec<String>,
+    /// Identifiers of its devices, in the order of their numbers (open-imu).
+    #[serde(default)]
+    pub devices: Vec<String>,
     /// Line rate, bit/s: 115 200 where a stage file has none, 0 in the `Default` of this type.
     #[serde(default = "usual_baud")]
     pub baud: u32,
@@ -102,7 +105,7 @@ impl DeviceSpec {
     pub(crate) fn has_line(&self) -> bool {
         let has_socket = matches!(self.driver.as_str(), "motionstar" | "x-imu3" | "vrpn");
         let by_tcp = has_socket && self.port().starts_with("tcp://");
-        !by_tcp && !self.port().starts_with("udp://")
+        !by_tcp && !self.port().starts_with("udp://") && self.port() != "websocket"
     }
 }
 
