@@ -9,6 +9,7 @@
 mod acceptance;
 mod align_live;
 mod architecture;
+mod boards;
 mod body;
 mod body_live;
 mod browser;
@@ -35,6 +36,7 @@ mod inertial;
 mod keyframes;
 mod keyframes_live;
 mod motion_commands;
+mod open_imu_live;
 mod packaging;
 mod pipeline;
 mod reference;

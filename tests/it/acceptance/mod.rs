@@ -11,6 +11,7 @@ mod determinism;
 mod devices;
 mod judge;
 mod many;
+mod radios;
 mod supervised;
 
 use posed_simulator::faults::Fault;
