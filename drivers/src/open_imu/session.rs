@@ -19,7 +19,7 @@ use crate::datagram::{Datagram, datagrams};
 use crate::flock::SettingsError;
 use crate::outbox::Outbox;
 use crate::sample::{Arrival, Measurement, Sample, Timestamp};
-use crate::session::{Counters, Found, LineEvent, Loss, Output, SensorInfo, Session, State};
+use crate::session::{Condition, Counters, Found, LineEvent, Loss, Output, SensorInfo, Session, State};
 use crate::x_imu3::wire::Lines;
 
 /// Most devices, named and found, that are followed at a time.
@@ -30,8 +30,6 @@ const MOST_CONNECTIONS: usize = 2 * MOST;
 const STRIKES: u32 = 3;
 /// Strength of Earth's magnetic field that is taken for 1, µT; it is 25 to 65.
 const FIELD_UT: f64 = 50.0;
-/// A battery is reported to be low below this share.
-const LOW_BATTERY: f64 = 0.1;
 
 /// Settings of devices that speak the open format; every key has a default.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -97,6 +95,7 @@ pub struct OpenImuSession {
     bytes_skipped: u64,
     sensors: Vec<SensorInfo>,
     losses: Vec<Loss>,
+    conditions: Vec<Condition>,
     found: Vec<Found>,
 }
 
@@ -141,6 +140,7 @@ impl OpenImuSession {
             bytes_skipped: 0,
             sensors: addresses.iter().map(|&address| SensorInfo { address, serial: None }).collect(),
             losses: addresses.iter().map(|&address| Loss { address, ..Loss::default() }).collect(),
+            conditions: addresses.iter().map(|&address| Condition::unknown(address)).collect(),
             found: Vec::new(),
             wanted: addresses,
         })
@@ -318,6 +318,7 @@ impl OpenImuSession {
         if std::mem::take(&mut unit.presence) != Presence::Away && k < self.named {
             self.outbox.warn(now, 0x100 + k as u32, || format!("{id} {why}"));
         }
+        self.forget_condition(k);
         self.update_state();
     }
 
@@ -425,15 +426,10 @@ impl OpenImuSession {
                     });
                 }
             }
-            Message::Battery(battery) => {
-                unit.battery = *battery;
-                if let Some(level) = battery.level.filter(|level| *level < LOW_BATTERY && k < self.named) {
-                    let id = id.to_owned();
-                    self.outbox.warn(now, 0x600 + k as u32, || {
-                        format!("the battery of {id} is at {:.0} %", level * 100.0)
-                    });
-                }
-            }
+            Message::Battery(battery) => self.conditions_of(k).for_each(|condition| {
+                condition.battery = battery.level.or(condition.battery);
+                condition.battery_v = battery.volts.or(condition.battery_v);
+            }),
             Message::Buttons(buttons) => {
                 let pressed = unit.pressed(*buttons);
                 let first = self.wanted.iter().find(|address| usize::from(**address & 0xFF) == k + 1);
@@ -523,6 +519,16 @@ impl OpenImuSession {
         self.sensors[index].serial = Some(if sensor == 0 { id.clone() } else { format!("{id}/{sensor}") });
     }
 
+    /// Of all sensors of a device of the settings.
+    fn conditions_of(&mut self, k: usize) -> impl Iterator<Item = &mut Condition> {
+        self.conditions.iter_mut().filter(move |condition| usize::from(condition.address & 0xFF) == k + 1)
+    }
+
+    /// Nothing is known any more of a device that is gone.
+    fn forget_condition(&mut self, k: usize) {
+        self.conditions_of(k).for_each(|condition| *condition = Condition::unknown(condition.address));
+    }
+
     fn update_state(&mut self) {
         let named = &self.units[..self.named];
         if *self.outbox.state() == State::Streaming
@@ -553,6 +559,9 @@ impl Session for OpenImuSession {
                 self.connections.clear();
                 for unit in &mut self.units {
                     (unit.peer, unit.presence) = (None, Presence::Away);
+                }
+                for condition in &mut self.conditions {
+                    *condition = Condition::unknown(condition.address);
                 }
                 self.outbox.connecting(reason.clone());
             }
@@ -598,6 +607,9 @@ impl Session for OpenImuSession {
                 Presence::Stale if silent_s >= LOST_S => (unit.presence, unit.peer) = (Presence::Away, None),
                 _ => continue,
             }
+            if before == Presence::Stale {
+                self.forget_condition(k);
+            }
             if k < self.named {
                 let (id, is_lost) = (unit.id.clone(), before == Presence::Stale);
                 self.outbox.warn(now, 0x900 + 2 * k as u32 + u32::from(is_lost), || match is_lost {
@@ -642,6 +654,10 @@ impl Session for OpenImuSession {
 
     fn losses(&self) -> &[Loss] {
         &self.losses
+    }
+
+    fn conditions(&self) -> &[Condition] {
+        &self.conditions
     }
 
     fn found(&self) -> &[Found] {

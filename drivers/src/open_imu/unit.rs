@@ -7,7 +7,7 @@ use std::net::SocketAddr;
 
 use posed_state::Plain;
 
-use super::wire::{Battery, Count, Hello, Time, Unit as TimeUnit};
+use super::wire::{Count, Hello, Time, Unit as TimeUnit};
 use crate::rate::Rate;
 use crate::sample::{DeviceTime, Timestamp};
 
@@ -107,7 +107,6 @@ pub(super) struct Unit {
     /// When it last sent a sample that was new.
     sampled: Option<Timestamp>,
     pub(super) presence: Presence,
-    pub(super) battery: Battery,
     /// How often its clock has begun anew; 0 before its first message.
     pub(super) epoch: u32,
     buttons: u32,
@@ -130,7 +129,6 @@ impl Unit {
             heard: None,
             sampled: None,
             presence: Presence::Away,
-            battery: Battery::default(),
             epoch: 0,
             buttons: 0,
             unit: TimeUnit::default(),

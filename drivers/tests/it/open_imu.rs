@@ -295,11 +295,14 @@ fn a_phone_says_hello_and_sends() {
     talk.text(PEER, r#"{"btn":1,"ev":"button"}"#);
     talk.text(PEER, r#"{"btn":1}"#);
     talk.text(PEER, r#"{"bat":0.05}"#);
+    talk.text(PEER, r#"{"volt":3.5}"#);
     assert_eq!(talk.presses, 1);
-    assert!(talk.warnings.iter().any(|warning| warning.contains("battery of esp-7f3a is at 5 %")));
+    let condition = talk.session.conditions()[0];
+    assert_eq!((condition.battery, condition.battery_v), (Some(0.05), Some(3.5)));
     talk.text(PEER, r#"{"bye":"page hidden"}"#);
     assert!(matches!(talk.session.state(), State::Silent { .. }), "{:?}", talk.session.state());
     assert!(talk.warnings.iter().any(|warning| warning.contains("page hidden")), "{:?}", talk.warnings);
+    assert_eq!(talk.session.conditions()[0].battery, None);
 }
 
 #[test]
