@@ -36,10 +36,11 @@ pub enum DeviceTime {
     /// Records damaged on the wire are counted; cycles that left no trace in the bytes are not, so the number may fall behind
     /// (see [`Arrival::after_loss`]); it never goes back. SlimeVR: the tracker's packet number, which begins anew with a
     /// handshake and is 0 where the tracker does not count. Xbus without a counter: the driver's count of data messages, which
-    /// begins anew with each set-up.
+    /// begins anew with each set-up. open-imu without a clock: the number of the sample.
     Cycle(u64),
     /// The unit's counter, unwrapped by the driver, in ticks of a nominal `tick_s` seconds. Xbus: sample time (0.1 ms), else
-    /// sample counter (one period); x-IMU3: its clock (1 µs); MotionStar and VRPN: the server's time since 1970 (1 ms, 1 µs).
+    /// sample counter (one period); x-IMU3: its clock (1 µs); MotionStar and VRPN: the server's time since 1970 (1 ms, 1 µs);
+    /// open-imu: the device's clock (1 µs, or 1 ms).
     Counter {
         /// Unwrapped count. It goes back when the device has restarted or set its clock; for an x-IMU3 also from one kind of
         /// message to another, by less than half an inertial period, since an average is dated to its middle.

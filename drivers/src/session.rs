@@ -35,7 +35,7 @@ pub enum LineEvent {
 #[derive(Clone, Debug, PartialEq, Plain)]
 #[expect(clippy::large_enum_variant, reason = "nearly all outputs are samples, and none may allocate")]
 pub enum Output {
-    /// Write these bytes to the line, whole and in order; SlimeVR: one envelope ([`crate::datagram`]).
+    /// Write these bytes to the line, whole and in order; SlimeVR, and open-imu but on a line: one envelope ([`crate::datagram`]).
     Transmit(Vec<u8>),
     /// Set the RTS line (`true` = asserted); comes only on a line with modem lines.
     SetRts(bool),
@@ -100,7 +100,7 @@ pub struct Counters {
 pub struct SensorInfo {
     /// Address on the device, that of [`Sample::address`].
     pub address: u16,
-    /// Serial number, as text; for SlimeVR the tracker's network address (MAC or IP). `None` where the device reports none, or
+    /// Serial number, as text; for SlimeVR the tracker's network address (MAC or IP), for open-imu the device's identifier. `None` where the device reports none, or
     /// has not done so yet.
     pub serial: Option<String>,
 }
@@ -157,7 +157,7 @@ impl Condition {
 pub trait Session {
     /// The line opened, closed, or lost bytes. `Opened` begins the set-up anew, whatever went before.
     fn handle_line(&mut self, now: Timestamp, event: &LineEvent);
-    /// Bytes were read at `now`, any number of them, cut anywhere; SlimeVR: whole envelopes only ([`crate::datagram`]).
+    /// Bytes were read at `now`, any number of them, cut anywhere; SlimeVR, and open-imu but on a line: whole envelopes only ([`crate::datagram`]).
     /// `now` must not lie before that of an earlier call.
     fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]);
     /// The time asked for by [`Session::poll_timeout`] has come. A call before that time does nothing.
