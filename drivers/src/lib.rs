@@ -5,10 +5,13 @@
 //! sleep, open a port, start a thread. Only [`port`] touches the operating system.
 
 mod arrivals;
+pub mod cut;
 pub mod datagram;
+mod debt;
 pub mod fastrak;
 pub mod flock;
 pub mod fuzzing;
+pub mod link;
 pub mod motionstar;
 pub mod open_imu;
 mod outbox;
@@ -16,8 +19,10 @@ pub mod port;
 pub mod probe;
 pub mod rate;
 pub mod sample;
+pub mod serial;
 pub mod session;
 pub mod slimevr;
+mod turns;
 pub mod vrpn;
 pub mod x_imu3;
 pub mod xbus;

@@ -4,9 +4,8 @@
 //! bytes ─> Splitter (binary or text records) ─> FastrakSession ─> Sample
 //! ```
 //! A record has no checksum and no mark of its own: it counts when header, length and terminator fit, and the
-//! quaternion is one. The Liberty, Patriot and Latus have another language, which this driver does not speak.
+//! quaternion is one. The Liberty and the Patriot have another language and a driver of their own ([`crate::polhemus`]).
 
-mod debt;
 pub mod probe;
 pub mod session;
 pub mod wire;

@@ -5,6 +5,8 @@
 
 use posed_state::Plain;
 
+use crate::cut::{Columns, Cutter, Front, Grammar, line_len};
+
 /// Most stations of a unit; they are numbered from 1.
 pub const STATIONS: u8 = 4;
 /// First byte of every data record.
@@ -177,155 +179,54 @@ pub enum Piece {
     Status,
 }
 
-/// Lines of text in a row that agree on other columns before those are believed.
-const AGREEING: u32 = 4;
-
-/// Where a unit's lines of text have their numbers. Its fields have a fixed width, so that the decimal points of all lines stand
-/// in the same columns: where they do not, a byte was lost or added, which a number alone does not show.
-#[derive(Clone, Copy, Debug, Default, Plain)]
-struct Columns {
-    believed: Option<[u64; 3]>,
-    /// Other columns, and how many lines in a row had them.
-    others: Option<[u64; 3]>,
-    agreeing: u32,
-}
-
-impl Columns {
-    /// Whether a line has the columns of those before it.
-    fn take(&mut self, line: &[u8]) -> bool {
-        let mut columns = [0, 0, line.len() as u64];
-        for (at, _) in line.iter().take(128).enumerate().filter(|(_, byte)| **byte == b'.') {
-            columns[at / 64] |= 1 << (at % 64);
-        }
-        if *self.believed.get_or_insert(columns) == columns {
-            self.agreeing = 0;
-            return true;
-        }
-        self.agreeing = if self.others.replace(columns) == Some(columns) { self.agreeing + 1 } else { 1 };
-        let changed = self.agreeing >= AGREEING;
-        if changed {
-            self.believed = Some(columns);
-        }
-        changed
-    }
-}
-
 /// Cuts a stream of bytes into records. What comes out does not depend on how the bytes were cut.
-///
-/// A record that does not fit gives up only its first byte, since the next one may begin inside it.
+pub type Splitter = Cutter<Records>;
+
+/// Records of one shape, and answers.
 #[derive(Clone, Debug, Plain)]
-pub struct Splitter {
+pub struct Records {
     shape: Shape,
-    buffer: Vec<u8>,
-    start: usize,
-    origin: u64,
-    in_sync: bool,
     columns: Columns,
-    rejected: u64,
-    bytes_skipped: u64,
+}
+
+impl Records {
+    /// Records of this shape only, and answers.
+    pub fn new(shape: Shape) -> Self {
+        Self { shape, columns: Columns::default() }
+    }
 }
 
 impl Splitter {
     /// A splitter before the first byte, for records of this shape only.
     pub fn new(shape: Shape) -> Self {
-        Self {
-            shape,
-            buffer: Vec::new(),
-            start: 0,
-            origin: 0,
-            in_sync: true,
-            columns: Columns::default(),
-            rejected: 0,
-            bytes_skipped: 0,
-        }
-    }
-
-    /// Takes more bytes, in the order of the stream.
-    pub fn push(&mut self, bytes: &[u8]) {
-        self.buffer.drain(..self.start);
-        self.origin += self.start as u64;
-        self.start = 0;
-        self.buffer.extend_from_slice(bytes);
-    }
-
-    /// The next piece, or `None` until more bytes come. Bytes of no piece are skipped and counted.
-    pub fn find(&mut self) -> Option<Piece> {
-        loop {
-            let pending = &self.buffer[self.start..];
-            let offset = self.origin + self.start as u64;
-            let (len, piece) = match pending.first()? {
-                b'2' => match status_len(pending) {
-                    Ok(len) => (len, Some(Piece::Status)),
-                    Err(Cut::Wait) => return None,
-                    Err(Cut::No) => (1, None),
-                },
-                b'\r' | b'\n' if self.in_sync => {
-                    // The unit's line ends around answers.
-                    self.start += 1;
-                    continue;
-                }
-                &DATA if self.shape.text => match line_len(pending) {
-                    Ok(len) => {
-                        let line = &pending[..len];
-                        let record = Record::parse_text(line, self.shape);
-                        let record = record.filter(|_| self.columns.take(line));
-                        (len, record.map(|record| Piece::Record { offset, len, record }))
-                    }
-                    Err(Cut::Wait) => return None,
-                    Err(Cut::No) => (1, None),
-                },
-                &DATA => {
-                    let len = self.shape.binary_len();
-                    if !begins_a_record(pending) {
-                        (1, None)
-                    } else if pending.len() < len {
-                        return None;
-                    } else {
-                        let record = Record::parse_binary(&pending[..len], self.shape);
-                        (len, record.map(|record| Piece::Record { offset, len, record }))
-                    }
-                }
-                _ => (1, None),
-            };
-            match piece {
-                Some(piece) => {
-                    self.start += len;
-                    self.in_sync = true;
-                    return Some(piece);
-                }
-                None => {
-                    // One loss of sync is one record refused.
-                    self.rejected += u64::from(self.in_sync);
-                    self.in_sync = false;
-                    self.start += 1;
-                    self.bytes_skipped += 1;
-                }
-            }
-        }
-    }
-
-    /// Bytes are missing here, or the stream has ended: what is pending is no record and counts as skipped.
-    pub fn interrupt(&mut self) {
-        self.bytes_skipped += (self.buffer.len() - self.start) as u64;
-        self.start = self.buffer.len();
-        self.in_sync = true;
-    }
-
-    /// Times that sync was lost: at least so many records were refused.
-    pub fn rejected(&self) -> u64 {
-        self.rejected
-    }
-
-    /// Bytes of no record and no answer; line ends between answers are not counted.
-    pub fn bytes_skipped(&self) -> u64 {
-        self.bytes_skipped
+        Self::of(Records::new(shape))
     }
 }
 
-enum Cut {
-    /// More bytes may make it one.
-    Wait,
-    No,
+impl Grammar for Records {
+    type Message = Piece;
+
+    fn front(&mut self, offset: u64, bytes: &[u8], in_sync: bool) -> Front<Piece> {
+        let (len, record) = match bytes[0] {
+            b'2' => return status(bytes),
+            // The unit's line ends around answers.
+            b'\r' | b'\n' if in_sync => return Front::Pass(1),
+            DATA if self.shape.text => match line_len(bytes, MAX_LINE) {
+                Ok(len) => {
+                    let line = &bytes[..len];
+                    let record = Record::parse_text(line, self.shape);
+                    (len, record.filter(|_| self.columns.take(line)))
+                }
+                Err(front) => return front,
+            },
+            DATA if begins_a_record(bytes) => match bytes.get(..self.shape.binary_len()) {
+                Some(bytes) => (bytes.len(), Record::parse_binary(bytes, self.shape)),
+                None => return Front::Wait,
+            },
+            _ => return Front::No,
+        };
+        record.map_or(Front::No, |record| Front::Message(len, Piece::Record { offset, len, record }))
+    }
 }
 
 /// Whether the first bytes can be a record's header, as far as they are there.
@@ -335,24 +236,19 @@ fn begins_a_record(bytes: &[u8]) -> bool {
     station && status
 }
 
-/// Length of a line of text at the front.
-fn line_len(bytes: &[u8]) -> Result<usize, Cut> {
-    match bytes.iter().take(MAX_LINE).position(|&byte| byte == b'\n') {
-        Some(at) => Ok(at + 1),
-        None if bytes.len() < MAX_LINE => Err(Cut::Wait),
-        None => Err(Cut::No),
-    }
-}
-
-/// Length of a status answer: `2`, station, `S`, 50 or 51 more bytes, CR LF.
-fn status_len(bytes: &[u8]) -> Result<usize, Cut> {
-    let len = line_len(bytes);
+/// A status answer at the front: `2`, station, `S`, 50 or 51 more bytes, CR LF.
+fn status(bytes: &[u8]) -> Front<Piece> {
+    let len = line_len(bytes, MAX_LINE);
     // What follows the line is no part of it, whether it has come yet or not.
     let line = len.as_ref().map_or(bytes, |&len| &bytes[..len]);
     if line.get(2).is_some_and(|&kind| kind != b'S') || !line.iter().all(|&byte| is_printable(byte)) {
-        return Err(Cut::No);
+        return Front::No;
     }
-    len.and_then(|len| if (50..=60).contains(&len) { Ok(len) } else { Err(Cut::No) })
+    match len {
+        Ok(len) if (50..=60).contains(&len) => Front::Message(len, Piece::Status),
+        Ok(_) => Front::No,
+        Err(front) => front,
+    }
 }
 
 fn is_printable(byte: u8) -> bool {

@@ -24,7 +24,7 @@ const FORGET: f64 = 0.01;
 
 /// See the module.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Plain)]
-pub(super) struct Debt {
+pub(crate) struct Debt {
     last: Option<Timestamp>,
     /// Records per second as measured; `None` until the first window is full. A slow line, or one of text, has less than the
     /// unit's nominal rate.
@@ -38,13 +38,13 @@ pub(super) struct Debt {
 
 impl Debt {
     /// The stream begins anew: nothing is owed, the pace is known.
-    pub(super) fn forgive(&mut self) {
+    pub(crate) fn forgive(&mut self) {
         *self = Self { pace_hz: self.pace_hz, ..Self::default() };
     }
 
     /// A record came, and `passed` others before it are known to be lost; `nominal_hz` is the most that the unit sends, all
     /// `stations` together. Returns the cycles that are lost besides.
-    pub(super) fn record(&mut self, now: Timestamp, passed: u64, stations: usize, nominal_hz: f64) -> u64 {
+    pub(crate) fn record(&mut self, now: Timestamp, passed: u64, stations: usize, nominal_hz: f64) -> u64 {
         let elapsed_s = self.last.replace(now).map_or(0.0, |last| now.seconds_since(last));
         self.measure_pace(now, 1 + passed, nominal_hz);
         let Some(pace_hz) = self.pace_hz else { return 0 };
