@@ -117,7 +117,7 @@ impl Driver {
     /// `baud` are those of the stage file; a `port` that is no address counts as a line.
     pub fn line_baud(&self, port: &str, baud: u32) -> Option<u32> {
         let limited = match port.parse::<PortAddress>() {
-            Ok(PortAddress::Udp { .. }) => false,
+            Ok(PortAddress::Udp { .. } | PortAddress::Websocket) => false,
             // A serial server has a line behind it; units with a socket of their own have none.
             Ok(PortAddress::Tcp { .. }) => {
                 !matches!(self, Self::MotionStar(_) | Self::XImu3(_) | Self::Vrpn(_))
@@ -143,9 +143,12 @@ impl Driver {
             ),
             (Self::OpenImu(_), _) => (true, ""),
             (Self::Vrpn(_), port) => (matches!(port, PortAddress::Tcp { .. }), "tcp://HOST:3883"),
-            (Self::XImu3(_), _) => (true, ""),
+            (Self::XImu3(_), port) => (
+                *port != PortAddress::Websocket,
+                "the path of a serial port, tcp://HOST:PORT, udp://HOST:PORT, or auto",
+            ),
             (_, port) => (
-                !matches!(port, PortAddress::Udp { .. }),
+                !matches!(port, PortAddress::Udp { .. } | PortAddress::Websocket),
                 "the path of a serial port, tcp://HOST:PORT of a serial server, or auto",
             ),
         };

@@ -410,6 +410,10 @@ pub struct Server {
     pub allowed_origins: Vec<String>,
     /// Certificate and key for TLS.
     pub tls: Option<Tls>,
+    /// Address at which phones and other devices send to the websocket `/imu` over TLS, and find nothing else; absent: 0.0.0.0:8788,
+    /// or another port where that one is taken. It is listened on where a device has the port `websocket`, or once somebody presses
+    /// *Add a phone*; only with a token for sensors.
+    pub phones: Option<String>,
     /// What clients may take of the daemon; absent keys: as they are.
     #[serde(default)]
     pub limits: Limits,
@@ -434,6 +438,8 @@ pub struct Token {
 )]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
+    /// Send a sensor's measurements, and nothing else.
+    Sensor,
     /// Subscribe.
     Watch,
     /// Subscribe and request.

@@ -25,6 +25,8 @@ pub enum PortAddress {
         /// UDP port, from 1.
         port: u16,
     },
+    /// The daemon's own websocket `/imu`, to which devices connect: `websocket`.
+    Websocket,
 }
 
 /// Why a text is no [`PortAddress`]; its sentence is for the operator.
@@ -42,7 +44,7 @@ pub enum PortAddressError {
     /// No port number, or none from 1 to 65535.
     #[error("the port number is missing or not from 1 to 65535")]
     Number,
-    /// Neither `auto` nor a URL nor an absolute path.
+    /// Neither `auto` nor `websocket` nor a URL nor an absolute path.
     #[error("a serial port is given by its path, which begins with /")]
     Relative,
 }
@@ -55,6 +57,8 @@ impl FromStr for PortAddress {
             Err(PortAddressError::Empty)
         } else if text == "auto" {
             Ok(Self::Auto)
+        } else if text == "websocket" {
+            Ok(Self::Websocket)
         } else if let Some(rest) = text.strip_prefix("tcp://") {
             host_and_port(rest).map(|(host, port)| Self::Tcp { host, port })
         } else if let Some(rest) = text.strip_prefix("udp://") {
@@ -91,6 +95,7 @@ mod tests {
         let tcp = |host: &str, port| PortAddress::Tcp { host: host.into(), port };
         let cases = [
             ("auto", Ok(PortAddress::Auto)),
+            ("websocket", Ok(PortAddress::Websocket)),
             ("/dev/ttyUSB0", Ok(PortAddress::Serial("/dev/ttyUSB0".into()))),
             ("tcp://moxa:4001", Ok(tcp("moxa", 4001))),
             ("tcp://[fe80::1]:4001", Ok(tcp("fe80::1", 4001))),

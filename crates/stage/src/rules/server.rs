@@ -45,6 +45,12 @@ pub(super) fn check(server: &Item<'_, '_>, folder: Option<&Path>, notes: &mut No
             Some(_) => {}
         }
     }
+    if let Some(phones) = server.text("phones")
+        && loopback(phones.value).is_none()
+    {
+        let message = format!("`{}` is no address to listen on", phones.value);
+        notes.problem(&phones.at, "phones", message, "write \"ADDRESS:PORT\", such as \"0.0.0.0:8788\"");
+    }
     for origin in
         server.get("allowed_origins").and_then(|list| list.get_ref().as_array()).into_iter().flatten()
     {
