@@ -12,6 +12,7 @@ const SOURCES: [&str; 9] = [
     "../clients/typescript/src",
     "index.html",
     "hub.html",
+    "phone.html",
     "package.json",
     "package-lock.json",
     "tsconfig.json",
@@ -105,7 +106,8 @@ fn explain(out: &Path, reason: &str) {
     let _ = fs::remove_dir_all(out);
     let written = fs::create_dir_all(out)
         .and_then(|()| fs::write(out.join("index.html"), &page))
-        .and_then(|()| fs::write(out.join("hub.html"), &page));
+        .and_then(|()| fs::write(out.join("hub.html"), &page))
+        .and_then(|()| fs::write(out.join("phone.html"), &page));
     if let Err(error) = written {
         println!("cargo::error={}: {error}", out.display());
     }

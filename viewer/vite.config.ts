@@ -6,7 +6,7 @@ export default defineConfig({
   base: "./",
   plugins: [svelte()],
   build: { target: "es2022", assetsInlineLimit: 0, chunkSizeWarningLimit: 1000, modulePreload: { polyfill: false },
-    // The page of a stage, and the one of a hub.
-    rollupOptions: { input: ["index.html", "hub.html"] },
+    // The page of a stage, the one of a hub, and the one that makes a phone a sensor.
+    rollupOptions: { input: ["index.html", "hub.html", "phone.html"] },
   },
 });

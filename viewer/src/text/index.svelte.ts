@@ -1,21 +1,14 @@
-// In which language the page speaks: the browser's, until somebody chooses another one.
+// The words of the page, in the language that is chosen.
 
 import { de } from "./de";
 import { en, type Text } from "./en";
+import { type Language, chosenLanguage, keepLanguage } from "./language";
 
-export type Language = "en" | "de";
-export const LANGUAGES: Record<Language, string> = { en: "English", de: "Deutsch" };
+export { LANGUAGES, type Language } from "./language";
 export const TEXTS: Record<Language, Text> = { en, de };
-const KEY = "posed.language";
-
-function first(): Language {
-  const kept = localStorage.getItem(KEY);
-  if (kept === "en" || kept === "de") return kept;
-  return navigator.language.startsWith("de") ? "de" : "en";
-}
 
 class Words {
-  #language = $state<Language>(first());
+  #language = $state<Language>(chosenLanguage());
 
   get language(): Language {
     return this.#language;
@@ -23,7 +16,7 @@ class Words {
 
   set language(language: Language) {
     this.#language = language;
-    localStorage.setItem(KEY, language);
+    keepLanguage(language);
   }
 
   get text(): Text {
