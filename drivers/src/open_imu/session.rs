@@ -607,11 +607,11 @@ impl Session for OpenImuSession {
                 Presence::Stale if silent_s >= LOST_S => (unit.presence, unit.peer) = (Presence::Away, None),
                 _ => continue,
             }
-            if before == Presence::Stale {
+            let (id, is_lost) = (unit.id.clone(), before == Presence::Stale);
+            if is_lost {
                 self.forget_condition(k);
             }
             if k < self.named {
-                let (id, is_lost) = (unit.id.clone(), before == Presence::Stale);
                 self.outbox.warn(now, 0x900 + 2 * k as u32 + u32::from(is_lost), || match is_lost {
                     false => format!("{id} is silent"),
                     true => format!("{id} is gone; check its battery and the network"),
