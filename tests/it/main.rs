@@ -39,6 +39,7 @@ mod motion_commands;
 mod open_imu_live;
 mod packaging;
 mod pipeline;
+mod python;
 mod reference;
 mod segments;
 mod server;
