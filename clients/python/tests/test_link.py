@@ -201,6 +201,27 @@ def test_a_request_ends_with_the_connection() -> None:
     run(test())
 
 
+def test_who_goes_says_goodbye() -> None:
+    codes: list[int | None] = []
+
+    async def script(peer: Peer, _: int) -> None:
+        await peer.hello()
+        await peer.stay()
+        codes.append(peer.socket.close_code)
+
+    async def test() -> None:
+        async with Daemon(script) as address:
+            async with posed.aio.connect(address) as stage:
+                frames = stage.events("marks")
+            while not codes:
+                await asyncio.sleep(0.001)
+            with pytest.raises(posed.Disconnected, match="was closed"):
+                await anext(frames)
+
+    run(test())
+    assert codes == [1000]
+
+
 def test_a_token_is_shown_and_who_is_not_let_in_does_not_try_again() -> None:
     from websockets.asyncio.server import serve
 

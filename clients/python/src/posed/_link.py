@@ -119,6 +119,8 @@ class Link:
     async def close(self) -> None:
         """Ends the connection and what is iterated."""
         self._ended = self._ended or Disconnected("the connection was closed")
+        if self._socket:
+            await self._socket.close()
         if self._task:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
