@@ -78,6 +78,18 @@ def test_a_recording_with_all_messages_needs_no_program(take: pathlib.Path, tmp_
             assert (same | ((one[name] != one[name]) & (other[name] != other[name]))).all(), name
 
 
+def test_a_preview_shows_what_was_good_without_the_program(take: pathlib.Path) -> None:
+    preview, whole = posed.read(take, preview=True, program="/no/such/program"), posed.read(take).body
+    assert 5 < len(preview.body) < len(whole) / 10
+    at = np.searchsorted(whole["t_s"], preview.body["t_s"].to_numpy() - 1e-6)
+    assert np.allclose(whole["t_s"].to_numpy()[at], preview.body["t_s"], atol=1e-6)
+    for column in ("torso_x_m", "shank_l_qw"):
+        shown, known = preview.body[column].to_numpy(), whole[column].to_numpy()[at]
+        assert np.allclose(shown, known, atol=1e-5, equal_nan=True) and np.isfinite(shown).any(), column
+    imus = preview.sensors[preview.sensors["sensor"].str.startswith("imu_")]
+    assert len(imus) > 5 and imus["x_m"].isna().all() and imus["qw"].notna().all()
+
+
 def test_without_the_program_it_says_what_to_do(take: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("POSED")
     monkeypatch.setenv("PATH", "")

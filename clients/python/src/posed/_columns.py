@@ -74,6 +74,24 @@ class Kind(msgspec.Struct):
     type: str
 
 
+class Xyz(msgspec.Struct, gc=False):
+    x: float
+    y: float
+    z: float
+    w: float = 0.0
+
+
+class Transform(msgspec.Struct, gc=False):
+    timestamp: dict[str, int]
+    child_frame_id: str
+    translation: Xyz
+    rotation: Xyz
+
+
+class Transforms(msgspec.Struct):
+    transforms: list[Transform]
+
+
 class Columns:
     """Arrays by name, and in `header` what is not numbers."""
 
@@ -160,6 +178,41 @@ def gathered(lines: Iterable[bytes]) -> Columns:
     header = {
         "sensors": list(names.of), "bodies": list(bodies.of), "angles": list(angles), "segments": list(segments), "states": list(states.of), "events": events,
     }
+    return Columns(header, numbers)
+
+
+SHOWN = "shown"
+"""State of what a recording shows to viewers: it was good then, and how good is not told."""
+
+
+def shown(lines: Iterable[bytes], epoch_ns: int) -> Columns:
+    """Columns of the transforms that a recording holds for viewers."""
+    decode = msgspec.json.Decoder(Transforms).decode
+    names, states, bodies, segments = _Names(), _Names(), _Names(), dict[str, int]()
+    sensors_rows, body_rows = _SensorsRows(names, states), _BodyRows(bodies, states, {}, segments)
+    for line in lines:
+        message = decode(line)
+        sensors: list[Sensor] = []
+        figures: dict[str, list[Segment]] = {}
+        for one in message.transforms:
+            at, q = one.translation, one.rotation
+            q_wxyz = (q.w, q.x, q.y, q.z)
+            whose, slash, name = one.child_frame_id.partition("/")
+            if whose == "sensors":
+                # An IMU, which measures no position, is shown at the room's origin to the last bit.
+                position_m = (at.x, at.y, at.z) if (at.x, at.y, at.z) != (0.0, 0.0, 0.0) else None
+                sensors.append(Sensor(name, SHOWN, position_m, q_wxyz))
+            elif slash:
+                figures.setdefault(whose, []).append(Segment(name, SHOWN, (at.x, at.y, at.z), q_wxyz))
+        if message.transforms:
+            time = message.transforms[0].timestamp
+            t_s = (time["sec"] * 1_000_000_000 + time["nsec"] - epoch_ns) * 1e-9
+            if sensors:
+                sensors_rows.add(Sensors(t_s, sensors))
+            for whose, figure in figures.items():
+                body_rows.add(Body(t_s, whose, figure, []))
+    numbers = {**sensors_rows.whole(), **body_rows.whole()}
+    header = {"sensors": list(names.of), "bodies": list(bodies.of), "angles": [], "segments": list(segments), "states": list(states.of), "events": []}
     return Columns(header, numbers)
 
 

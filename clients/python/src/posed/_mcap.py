@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import pathlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from mcap.exceptions import McapError
@@ -45,10 +45,20 @@ def begins(path: pathlib.Path) -> Beginning:
 
 def messages(path: pathlib.Path) -> Iterator[bytes]:
     """The messages of a recording that holds them, as JSON."""
+    return _of(path, lambda topic: topic.startswith(TOPIC))
+
+
+def transforms(path: pathlib.Path) -> Iterator[bytes]:
+    """What a recording shows to viewers five times a second: `foxglove.FrameTransforms` as JSON."""
+    return _of(path, lambda topic: topic == "/tf")
+
+
+def _of(path: pathlib.Path, wanted: Callable[[str], bool]) -> Iterator[bytes]:
     with path.open("rb") as file:
         reader = make_reader(file)
         summary = reader.get_summary()
-        topics = None if summary is None else [one.topic for one in summary.channels.values() if one.topic.startswith(TOPIC)]
+        # By its index, where it was ended in order.
+        topics = None if summary is None else [one.topic for one in summary.channels.values() if wanted(one.topic)]
         for _, channel, message in reader.iter_messages(topics):
-            if channel.topic.startswith(TOPIC):
+            if wanted(channel.topic):
                 yield message.data

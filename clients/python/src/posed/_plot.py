@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from ._columns import SHOWN
 from .frames import USABLE
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def curve(take: Take[Any], name: str) -> tuple[npt.NDArray[Any], npt.NDArray[Any
     own = table["sensor"] == sensor
     if column not in table or not own.any():
         raise KeyError(f"no column {column!r}, or no sensor {sensor!r}")
-    usable = np.isin(table["state"][own].astype(str), list(USABLE))
+    usable = np.isin(table["state"][own].astype(str), [*USABLE, SHOWN])
     return table["t_s"][own], np.where(usable, table[column][own], np.nan)
 
 
@@ -76,10 +77,13 @@ def plot(take: Take[Any], columns: tuple[str, ...]) -> Figure:
         for t_s in events["t_valid_s"][events["topic"] == "marks"]:
             axis.axvline(t_s, color="black", linestyle=":")
         if names:
-            axis.legend(loc="upper right", fontsize="small")
+            axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small")
     top = axes[0]
     for from_s, label in zip(labels["from_s"], labels["label"], strict=True):
         top.text(from_s, 1.0, label, transform=top.get_xaxis_transform(), fontsize="small", va="bottom")
+    for t_s, label, topic in zip(events["t_valid_s"], events["label"], events["topic"], strict=True):
+        if topic == "marks":
+            top.text(t_s, 1.0, label, transform=top.get_xaxis_transform(), fontsize="small", va="bottom")
     axes[-1].set_xlabel("capture time, s")
     figure.suptitle(f"{take.stage}: {take.path.name}")
     return figure

@@ -17,12 +17,13 @@ import subprocess
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeAlias, TypeVar, cast, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from ._columns import VERSION, Columns, gathered
+from ._columns import VERSION, Columns, gathered, shown
 from .errors import NoProgram, PosedError
 
 if TYPE_CHECKING:
@@ -34,8 +35,23 @@ __all__ = ["Table", "Take", "read"]
 
 Table: TypeAlias = dict[str, npt.NDArray[Any]]
 """Columns by name, all of one length."""
-Make: TypeAlias = Callable[[Table], Any]
 F = TypeVar("F")
+
+
+@dataclass(frozen=True)
+class Coded:
+    """A column of few texts, by their numbers: frames have a type for it that takes an eighth of the memory."""
+
+    texts: list[str]
+    codes: npt.NDArray[np.signedinteger[Any]]
+
+    def plain(self) -> npt.NDArray[Any]:
+        texts: npt.NDArray[Any] = np.array(self.texts, dtype=object)
+        return cast(npt.NDArray[Any], texts[self.codes])
+
+
+_Columns: TypeAlias = dict[str, npt.NDArray[Any] | Coded]
+Make: TypeAlias = Callable[[_Columns], Any]
 
 XYZ, WXYZ = "xyz", "wxyz"
 
@@ -47,7 +63,7 @@ class Take(Generic[F]):
         self.path = path
         self._columns = columns
         self._make = make
-        self._tables: dict[str, Table] = {}
+        self._tables: dict[str, _Columns] = {}
 
     @property
     def stage(self) -> str:
@@ -60,7 +76,10 @@ class Take(Generic[F]):
         return np.datetime64(self._columns.header["epoch_utc"].removesuffix("Z"), "ns")
 
     def table(self, name: Literal["sensors", "measured", "body", "events", "labels"]) -> Table:
-        """A table as NumPy columns."""
+        """A table as NumPy columns, whatever the frames are."""
+        return _numpy(self._table(name))
+
+    def _table(self, name: str) -> _Columns:
         if name not in self._tables:
             self._tables[name] = getattr(self, f"_{name}")()
         return self._tables[name]
@@ -71,27 +90,27 @@ class Take(Generic[F]):
 
         Poses to use are those whose state is `ok`, `repaired` or `extrapolated`.
         """
-        return cast(F, self._make(self.table("sensors")))
+        return cast(F, self._make(self._table("sensors")))
 
     @property
     def measured(self) -> F:
         """A row for each raw record of an IMU: `t_s`, `sensor`, and in its own axes angular velocity, specific force and magnetic field."""
-        return cast(F, self._make(self.table("measured")))
+        return cast(F, self._make(self._table("measured")))
 
     @property
     def body(self) -> F:
         """A row for each body in each frame: `t_s`, `body`, `JOINT_ANGLE_deg`, and of each segment position, quaternion from segment to room, and state."""
-        return cast(F, self._make(self.table("body")))
+        return cast(F, self._make(self._table("body")))
 
     @property
     def events(self) -> F:
         """A row for each event: `t_s`, the capture time that it speaks of (`t_valid_s`), `event_id`, `topic`, `event`, `subject`, `label`, and all of it as JSON."""
-        return cast(F, self._make(self.table("events")))
+        return cast(F, self._make(self._table("events")))
 
     @property
     def labels(self) -> F:
         """What somebody has said that it shows, from the file of labels beside it: `from_s`, `to_s`, `label`."""
-        return cast(F, self._make(self.table("labels")))
+        return cast(F, self._make(self._table("labels")))
 
     def plot(self, *columns: str) -> Figure:
         """Curves of columns of `body` (`elbow_r_flexion_deg`), or by `SENSOR.COLUMN` of `sensors` (`wand.x_m`), with events and labels; without any the likeliest."""
@@ -99,12 +118,12 @@ class Take(Generic[F]):
 
         return plot(self, columns)
 
-    def _sensors(self) -> Table:
+    def _sensors(self) -> _Columns:
         found, names = self._columns.numbers, self._columns.header["sensors"]
-        table: Table = {
+        table: _Columns = {
             "t_s": found["sensors_t_s"][found["sensors_frame"]],
-            "sensor": np.array(names, dtype=object)[found["sensors_sensor"]],
-            "state": np.array(self._columns.header["states"], dtype=object)[found["sensors_state"]],
+            "sensor": Coded(names, found["sensors_sensor"]),
+            "state": Coded(self._columns.header["states"], found["sensors_state"]),
         }
         _spread(table, found["sensors_position_m"], [f"{axis}_m" for axis in XYZ])
         _spread(table, found["sensors_orientation_wxyz"], [f"q{axis}" for axis in WXYZ])
@@ -113,26 +132,25 @@ class Take(Generic[F]):
         _spread(table, found["sensors_angular_velocity_rad_s"], [f"w{axis}_rad_s" for axis in XYZ])
         return table
 
-    def _measured(self) -> Table:
+    def _measured(self) -> _Columns:
         found, names = self._columns.numbers, self._columns.header["sensors"]
-        table: Table = {"t_s": found["measured_t_s"], "sensor": np.array(names, dtype=object)[found["measured_sensor"]]}
+        table: _Columns = {"t_s": found["measured_t_s"], "sensor": Coded(names, found["measured_sensor"])}
         _spread(table, found["measured_angular_velocity_rad_s"], [f"w{axis}_rad_s" for axis in XYZ])
         _spread(table, found["measured_specific_force_m_s2"], [f"f{axis}_m_s2" for axis in XYZ])
         _spread(table, found["measured_magnetic_field"], [f"m{axis}" for axis in XYZ])
         return table
 
-    def _body(self) -> Table:
+    def _body(self) -> _Columns:
         found, header = self._columns.numbers, self._columns.header
-        table: Table = {"t_s": found["body_t_s"], "body": np.array(header["bodies"], dtype=object)[found["body_body"]]}
+        table: _Columns = {"t_s": found["body_t_s"], "body": Coded(header["bodies"], found["body_body"])}
         _spread(table, found["body_angles_deg"], [f"{angle}_deg" for angle in header["angles"]])
-        states = np.array(header["states"], dtype=object)
         for at, segment in enumerate(header["segments"]):
             _spread(table, found["body_position_m"][:, at], [f"{segment}_{axis}_m" for axis in XYZ])
             _spread(table, found["body_orientation_wxyz"][:, at], [f"{segment}_q{axis}" for axis in WXYZ])
-            table[f"{segment}_state"] = states[found["body_state"][:, at]]
+            table[f"{segment}_state"] = Coded(header["states"], found["body_state"][:, at])
         return table
 
-    def _events(self) -> Table:
+    def _events(self) -> _Columns:
         messages = self._columns.header["events"]
 
         def text(*keys: str) -> npt.NDArray[Any]:
@@ -149,7 +167,7 @@ class Take(Generic[F]):
             "message": np.array([json.dumps(one) for one in messages], dtype=object),
         }
 
-    def _labels(self) -> Table:
+    def _labels(self) -> _Columns:
         spans = list(_labels_beside(self.path, cast(npt.NDArray[np.float64], self._columns.numbers["sensors_t_s"])))
         return {
             "from_s": np.array([span[0] for span in spans], dtype=np.float64),
@@ -161,7 +179,7 @@ class Take(Generic[F]):
         return f"<Take {self.path.name} of {self.stage}>"
 
 
-def _spread(table: Table, values: npt.NDArray[Any], names: list[str]) -> None:
+def _spread(table: _Columns, values: npt.NDArray[Any], names: list[str]) -> None:
     for at, name in enumerate(names):
         table[name] = values[:, at]
 
@@ -205,7 +223,7 @@ def _exported(path: pathlib.Path, program: str | None) -> Columns:
     found = program or os.environ.get("POSED") or shutil.which("posed")
     if found is None:
         raise NoProgram(
-            f"{path.name} holds what the devices sent, and `posed`, which makes poses of it, is not there: install it, give its path as `program` or in the variable POSED, "
+            f"{path.name} holds what the devices sent, and `posed`, which makes poses of it, is not there: install it, give its path as `program` or in the variable POSED, read(..., preview=True), "
             f"or have `posed export {path.name} --to mcap -o full.mcap` made where it is, and read that"
         )
     with tempfile.TemporaryDirectory() as folder:
@@ -234,33 +252,60 @@ def _columns_of(path: pathlib.Path, program: str | None, keep: bool) -> Columns:
     return columns
 
 
-def _pandas(table: Table) -> Any:
+def _preview(path: pathlib.Path) -> Columns:
+    from ._mcap import begins, transforms
+
+    beginning = begins(path)
+    epoch_ns = int(np.datetime64(beginning.epoch_utc.removesuffix("Z"), "ns").astype(np.int64))
+    columns = shown(transforms(path), epoch_ns)
+    columns.header |= {"stage": beginning.stage, "epoch_utc": beginning.epoch_utc}
+    return columns
+
+
+def _numpy(table: _Columns) -> Table:
+    return {name: values.plain() if isinstance(values, Coded) else values for name, values in table.items()}
+
+
+def _pandas(table: _Columns) -> Any:
     import pandas as pd
 
-    # Names and states are few: categories take an eighth of the memory, and a tenth of the time.
-    return pd.DataFrame({name: pd.Series(values) for name, values in table.items()}, copy=False)
+    def column(values: npt.NDArray[Any] | Coded) -> Any:
+        return pd.Categorical.from_codes(values.codes, pd.Index(values.texts)) if isinstance(values, Coded) else values
+
+    return pd.DataFrame({name: column(values) for name, values in table.items()}, copy=False)
 
 
-def _polars(table: Table) -> Any:
+def _polars(table: _Columns) -> Any:
     import polars as pl
 
-    return pl.DataFrame({name: values if values.dtype != object else pl.Series(values.tolist(), dtype=pl.String) for name, values in table.items()})
+    def column(values: npt.NDArray[Any] | Coded) -> Any:
+        if isinstance(values, Coded):
+            return pl.Series(values.texts, dtype=pl.Enum(values.texts)).gather(pl.Series(values.codes, dtype=pl.UInt32))
+        return pl.Series(values.tolist(), dtype=pl.String) if values.dtype == object else np.ascontiguousarray(values)
+
+    return pl.DataFrame({name: column(values) for name, values in table.items()})
 
 
 @overload
-def read(path: str | os.PathLike[str], *, frames: Literal["pandas"] = ..., program: str | None = ..., keep: bool = ...) -> Take[pandas.DataFrame]: ...
+def read(path: str | os.PathLike[str], *, frames: Literal["pandas"] = ..., program: str | None = ..., keep: bool = ..., preview: bool = ...) -> Take[pandas.DataFrame]: ...
 @overload
-def read(path: str | os.PathLike[str], *, frames: Literal["polars"], program: str | None = ..., keep: bool = ...) -> Take[polars.DataFrame]: ...
+def read(path: str | os.PathLike[str], *, frames: Literal["polars"], program: str | None = ..., keep: bool = ..., preview: bool = ...) -> Take[polars.DataFrame]: ...
 @overload
-def read(path: str | os.PathLike[str], *, frames: Literal["numpy"], program: str | None = ..., keep: bool = ...) -> Take[Table]: ...
+def read(path: str | os.PathLike[str], *, frames: Literal["numpy"], program: str | None = ..., keep: bool = ..., preview: bool = ...) -> Take[Table]: ...
 def read(
-    path: str | os.PathLike[str], *, frames: Literal["pandas", "polars", "numpy"] = "pandas", program: str | None = None, keep: bool = True
+    path: str | os.PathLike[str],
+    *,
+    frames: Literal["pandas", "polars", "numpy"] = "pandas",
+    program: str | None = None,
+    keep: bool = True,
+    preview: bool = False,
 ) -> Take[Any]:
     """Reads a recording: `read("take.mcap").body` is a data frame.
 
     `frames`: whose data frames; `program`: the path of `posed`, by default the one of the variable POSED or of PATH, which makes the poses where the recording
-    holds only what devices sent; `keep`: whether the columns are kept in `exports/` beside it, so that the next time takes a moment.
+    holds only what devices sent; `keep`: whether the columns are kept in `exports/` beside it, so that the next time takes a moment. With `preview` it is what the
+    recording shows to viewers: where good sensors and segments were, five times a second, without joint angles and events, at once and without the program.
     """
-    makes: dict[str, Make] = {"pandas": _pandas, "polars": _polars, "numpy": lambda table: table}
+    makes: dict[str, Make] = {"pandas": _pandas, "polars": _polars, "numpy": _numpy}
     file = pathlib.Path(path)
-    return Take(file, _columns_of(file, program, keep), makes[frames])
+    return Take(file, _preview(file) if preview else _columns_of(file, program, keep), makes[frames])
