@@ -1,9 +1,4 @@
-// Numbers and words of messages, as people read them.
-
-/** A word of the messages as people read it. */
-export function spoken(word: string): string {
-  return word.replaceAll("_", " ");
-}
+// Numbers as people read them.
 
 /** A number with so many digits, or a dash. */
 export function num(value: number | null | undefined, digits: number): string {

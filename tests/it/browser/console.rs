@@ -84,6 +84,74 @@ async fn what_is_chosen_in_one_place_is_chosen_in_all_and_measured_marked_and_ke
     done(browser, posed).await;
 }
 
+/// Two trackers on somebody, the second with a battery that runs low.
+const TRACKERS: &str = r#"
+name = "trackers"
+[body]
+height_m = 1.7
+[[device]]
+name = "trackers"
+driver = "slimevr"
+port = "auto"
+[[sensor]]
+name = "torso"
+device = "trackers"
+address = 1
+[[sensor]]
+name = "pelvis"
+device = "trackers"
+address = 2
+[simulation]
+[[simulation.body]]
+name = "person"
+[simulation.body.motion]
+kind = "person"
+activity = "poses"
+height_m = 1.7
+[[simulation.sensor]]
+name = "torso"
+body = "person"
+segment = "torso"
+[[simulation.sensor]]
+name = "pelvis"
+body = "person"
+segment = "pelvis"
+[[simulation.device]]
+name = "trackers"
+boot_ms = 0.0
+[[simulation.device.fault]]
+kind = "low-battery"
+address = 2
+at_s = 3.0
+"#;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_battery_is_on_the_rail_and_a_low_one_a_problem_in_the_language_of_the_page() {
+    if !chromium::is_wanted() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let stage = folder.path().join("trackers.toml");
+    std::fs::write(&stage, TRACKERS).unwrap();
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut browser = Browser::open(&format!("http://{}/#watch", posed.address)).await;
+    browser.until(LIVE).await;
+    let charge =
+        |says: &str| format!("document.querySelector('#watch aside [aria-label=\"{says}\"]') !== null");
+    browser.until(&format!("{} && {}", charge("Battery: 90 %"), charge("Battery: 5 %"))).await;
+    press(&mut browser, "pelvis").await;
+    let chosen = "document.querySelector('#watch aside dl')?.textContent";
+    browser.until(&format!("/5 %, 3.25 V/.test({chosen}) && /-58 dBm/.test({chosen})")).await;
+    let problems = "document.getElementById('problems').textContent";
+    browser.until(&format!("{problems}.includes('the battery of pelvis is at 5 %: charge it')")).await;
+    browser.fill("#page-language", "de").await;
+    browser
+        .until(&format!("{problems}.includes('Der Akku von pelvis ist bei 5 %') && {problems}.includes('den Körper kalibrieren')"))
+        .await;
+    browser.until(&charge("Akku: 5 %")).await;
+    done(browser, posed).await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn language_and_light_are_chosen_and_stay() {
     if !chromium::is_wanted() {

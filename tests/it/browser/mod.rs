@@ -12,6 +12,7 @@ mod setup;
 mod takes;
 mod timeline;
 mod trainer;
+mod visible;
 
 use std::time::Duration;
 

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
+use super::visible::{button, press, says};
 use super::{LIVE, console, done};
 use crate::chromium::{self, Browser};
 use crate::daemon::setup::run;
@@ -34,26 +35,6 @@ fn two_chains(folder: &Path) -> PathBuf {
     let path = folder.join("devices.toml");
     std::fs::write(&path, text).unwrap();
     path
-}
-
-/// The button that somebody sees or hears called like this, if it can be pressed.
-fn button(called: &str) -> String {
-    format!(
-        "[...document.querySelectorAll('button')].find((each) => each.offsetHeight > 0 && !each.disabled && \
-         [each.getAttribute('aria-label'), each.textContent.trim()].includes('{called}'))"
-    )
-}
-
-/// Presses a button as soon as it is there.
-async fn press(browser: &mut Browser, called: &str) {
-    let button = button(called);
-    browser.until(&format!("{button} !== undefined")).await;
-    browser.value(&format!("{button}.click()")).await;
-}
-
-/// Waits for words on the page.
-async fn says(browser: &mut Browser, words: &str) {
-    browser.until(&format!("document.body.innerText.includes('{words}')")).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -105,8 +86,14 @@ async fn two_devices_on_unknown_ports_become_a_calibrated_body_by_the_page_alone
     browser.until(good).await;
     press(&mut browser, "Next: Calibrate").await;
     says(&mut browser, "calibrate the body").await;
+    // What a body can do without comes before it, each with its picture; here it is left out.
+    browser
+        .until("document.querySelector('#setup section [data-asks=\"+z\"]')?.checkVisibility() === true")
+        .await;
+    press(&mut browser, "Leave out: IMU").await;
     browser.fill("#setup-calibrate-how", "quick").await;
     calibrate(&mut browser).await;
+    says(&mut browser, "Good enough: every sensor agrees").await;
     press(&mut browser, "Next: Done").await;
     says(&mut browser, "It tracks: everything is good.").await;
     let text = std::fs::read_to_string(&stage).unwrap();

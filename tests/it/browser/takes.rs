@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::{LIVE, demo, done};
+use super::{LIVE, PAINTED, demo, done, visible};
 use crate::chromium::Browser;
 
 /// Records `take-01.mcap` for some seconds, with a mark in the middle.
@@ -38,6 +38,35 @@ async fn fetched(browser: &mut Browser, link: &str) -> u64 {
     browser.value(&fetch).await;
     browser.until("window.fetched !== undefined").await;
     browser.value("window.fetched").await.as_u64().unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_newcomer_records_watches_and_exports_a_take_of_the_demo_by_the_page_alone() {
+    let Some((_folder, posed, mut browser)) = demo().await else { return };
+    visible::press(&mut browser, "Record").await;
+    browser.until(&format!("{} !== undefined", visible::button("Stop"))).await;
+    browser.pause(Duration::from_secs(3)).await;
+    visible::press(&mut browser, "Stop").await;
+    visible::press(&mut browser, "Takes").await;
+    visible::press(&mut browser, "Watch take-01.mcap").await;
+    // It plays by itself, over a timeline.
+    visible::says(&mut browser, "Replay of take-01.mcap").await;
+    visible::press(&mut browser, "Watch").await;
+    browser.until(PAINTED).await;
+    browser
+        .until(
+            "document.querySelector('[role=slider][aria-label=\"Time in the recording\"]')?.ariaValueNow > 0",
+        )
+        .await;
+    visible::press(&mut browser, "Back to the live stage").await;
+    browser.until(LIVE).await;
+    visible::press(&mut browser, "Takes").await;
+    visible::press(&mut browser, "Export").await;
+    visible::press(&mut browser, "Make the file").await;
+    visible::says(&mut browser, "take-01.csv (").await;
+    let file = "a[download=\"take-01.csv\"]";
+    assert!(fetched(&mut browser, file).await > 1000);
+    done(browser, posed).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,7 +1,7 @@
 // What is wrong now, in one line each with its fix: what the daemon says, and what follows from what it sends.
 
 import { field } from "../field.svelte";
-import { num, spoken } from "../format";
+import { num } from "../format";
 import { live, model } from "../page.svelte";
 import type { Text } from "../text/en";
 
@@ -13,7 +13,7 @@ export type Finding = { key: string; grave: "care" | "bad"; says: string; way?: 
 const DAMAGED = 0.01;
 /** A sensor that has been so for less is not worth a line yet, s. */
 const LASTS_S = 3;
-const WAYS: Record<string, Way> = { field_map: "field", recording: "recording" };
+const WAYS: Record<string, Way> = { body_not_calibrated: "body", field_map: "field", recording: "recording" };
 
 /** Messages that were dropped longer ago are forgotten, s. */
 const DROPPED_S = 10;
@@ -38,9 +38,10 @@ export function findings(text: Text): Finding[] {
   const { status } = live;
   if (!status) return [];
   const { check, calibrate } = text;
-  const found: Finding[] = status.problems.map(({ code, message }, i) => {
-    const way = code === "body" && message.includes("calibrate") ? "body" : WAYS[code];
-    return { key: `daemon ${i} ${code}`, grave: code === "recording" ? "bad" : "care", says: message, ...(way ? { way } : {}) };
+  const found: Finding[] = status.problems.map((problem, i) => {
+    const { code, message } = problem;
+    const way = WAYS[code];
+    return { key: `daemon ${i} ${code}`, grave: code === "recording" ? "bad" : "care", says: text.daemon.problem(problem) ?? message, ...(way ? { way } : {}) };
   });
   for (const { name, state, reason } of status.devices) {
     if (reason) found.push({ key: `device ${name}`, grave: state === "failed" ? "bad" : "care", says: `${name}: ${reason}` });
@@ -55,7 +56,7 @@ export function findings(text: Text): Finding[] {
   if (outside.length > 0) found.push({ key: "outside", grave: "care", says: check.outside(outside.join(", ")), way: "field" });
   for (const { name, state, fault } of heard) {
     if (state === "ok" || state === "repaired" || state === "extrapolated") continue;
-    const cause = fault?.cause ? spoken(fault.cause) : text.states[state];
+    const cause = fault?.cause ? text.daemon.term(fault.cause) : text.states[state];
     found.push({ key: `sensor ${name}`, grave: "bad", says: check.suspect(name, cause), way: "sensor", sensor: name });
   }
   if (field.disturbed.length > 0) found.push({ key: "disturbed", grave: "care", says: `${check.disturbed} ${calibrate.less}`, way: "field" });

@@ -4,7 +4,7 @@ import { link, live, model } from "../page.svelte";
 import type { HealthHistory, SensorHistory } from "../protocol";
 
 /** What is reported of a sensor, each a curve. */
-export const KINDS = ["rate_hz", "lost", "noise_m", "clock_sigma_s", "battery"] as const;
+export const KINDS = ["rate_hz", "lost", "noise_m", "clock_sigma_s", "battery", "signal_dbm"] as const;
 export type Kind = (typeof KINDS)[number];
 
 class History {

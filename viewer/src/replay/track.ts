@@ -1,5 +1,7 @@
 // One channel of a recording.
 
+import { lowerBound } from "../search";
+
 export interface Track {
   channel: string;
   /** From its beginning. */
@@ -9,13 +11,10 @@ export interface Track {
 
 /** The value at a time, between the two rows beside it; nothing outside, in gaps and where one of them has none. */
 export function valueAt({ t_s, values }: Track, t: number): number | null {
-  let [low, high] = [0, t_s.length - 1];
-  if (high < 1 || t < t_s[0]! || t > t_s[high]!) return null;
-  while (high - low > 1) {
-    const middle = (low + high) >> 1;
-    if (t_s[middle]! <= t) low = middle;
-    else high = middle;
-  }
+  if (t_s.length < 2 || t < t_s[0]! || t > t_s.at(-1)!) return null;
+  // At the last row the two are the last two.
+  const high = Math.min(lowerBound(t_s.length, (i) => t_s[i]! <= t), t_s.length - 1);
+  const low = high - 1;
   const [before, after] = [values[low], values[high]];
   if (before == null || after == null) return null;
   const span = t_s[high]! - t_s[low]!;

@@ -4,7 +4,7 @@ import * as THREE from "three";
 import type { Contacts, SegmentEntry, SegmentState } from "../protocol";
 import { Labels } from "./labels";
 import { quaternion, vector } from "./scene";
-import { spoken } from "../format";
+import { words } from "../text/index.svelte";
 import { token } from "../theme.svelte";
 import { ANKLE, FOREARM, HIP, SHANK, SHOULDER, SHOULDER_ROOT, THIGH, TRUNK, UPPER_ARM, segmentShape } from "./shape";
 
@@ -209,7 +209,7 @@ export class BodyFigure {
 
   /** An octahedron with the reason at each segment's joint. */
   private markIll(ill: Drawn[]): void {
-    const said = ill.map(({ name, fault }) => `${name}: ${spoken(fault ?? "faulty")}`);
+    const said = ill.map(({ name, fault }) => `${name}: ${words.text.daemon.term(fault ?? "faulty")}`);
     if (said.join("\n") !== this.said.join("\n")) {
       this.said = said;
       this.reasons.write(said, token("ink"));

@@ -25,7 +25,7 @@ export function unplaced(): string[] {
 
 /** Whether the daemon says that the body's sensors are not calibrated. */
 export function bodyIsMissing(): boolean {
-  return live.status?.problems.some(({ code, message }) => code === "body" && message.includes("calibrate")) ?? false;
+  return live.status?.problems.some(({ code }) => code === "body_not_calibrated") ?? false;
 }
 
 export function standing(step: Step, text: Text): Standing {

@@ -1,12 +1,13 @@
 // Alles, was die Seite sagt, auf Deutsch.
 
+import { ASKS, PROBLEMS, term } from "./daemon.de";
 import type { Text } from "./en";
 
 const count = (n: number, one: string, several: string) => `${n} ${n === 1 ? one : several}`;
 
 export const de: Text = {
   views: {
-    watch: "Ansehen", setup: "Einrichten", calibrate: "Kalibrieren", coach: "Anleiten", exercise: "Üben", plan: "Planen & berichten",
+    watch: "Ansehen", setup: "Einrichten", calibrate: "Kalibrieren", coach: "Anleiten", exercise: "Üben", plan: "Planen",
     analyse: "Untersuchen", takes: "Aufnahmen", check: "Prüfen",
   },
   page: {
@@ -63,9 +64,16 @@ export const de: Text = {
     measure: "Messen", measuring: "zwei Sensoren wählen", distance: (a, b, mm) => `${a} bis ${b}: ${mm} mm`,
     fps: (n) => `${n} Bilder/s`, latency: (ms) => `${ms} ms Latenz`,
     noSensors: "Noch ist kein Sensor bekannt.", noSensorsNext: "Ein Gerät anstecken: Einrichten findet es und trägt es in die Stage-Datei ein.",
+    battery: "Akku", signal: "Funk", charge: (percent, volts) => `${percent} %${volts == null ? "" : `, ${volts.toFixed(2)} V`}`,
     rate: (hz) => `${hz} Hz`, lost: (n) => `${n} verloren`, sparkline: (name) => `Rate von ${name} in der letzten Minute`,
     hideRail: "Liste ausblenden", showRail: "Liste einblenden", selected: "Ausgewählt",
     position: "Position, m", speed: "Geschwindigkeit, m/s", sigma: "σ, mm", age: "Alter, ms",
+  },
+  daemon: {
+    problem: ({ code, values }) => PROBLEMS[code]?.(values) ?? null,
+    asked: ({ asks, step, steps, silent, objection }) => (asks === null || !ASKS[asks] ? null
+      : `${step} von ${steps}: ${silent === "" ? "" : `${silent}: Es kommt nichts; bitte nachsehen. `}${objection === null ? "" : `${objection}. Noch einmal: `}${ASKS[asks]}`),
+    term,
   },
   states: { ok: "gut", suspect: "zweifelhaft", missing: "fehlt", late: "verspätet", stuck: "hängt", repaired: "repariert", extrapolated: "außerhalb der Karte" },
   links: { streaming: "sendet", connecting: "verbindet", silent: "still", failed: "ausgefallen" },
@@ -86,6 +94,12 @@ export const de: Text = {
     withImu: "der mit einer IMU", magneticSensor: "Magnetischer Sensor", align: "Stage ausrichten", surveyedRoom: "Vermessener Punkt, Raum, m:", points: "Vermessene Punkte des Raums",
     pointName: "Name des Punkts", axis: (axis) => `${axis} des Punkts, m`, add: "Hinzufügen",
     alignHelp: "Findet, wie der Sender steht und wie eine IMU auf ihrem Sensor sitzt: den Sensor in der Hand drehen oder an vermessene Punkte halten.",
+    handling: "Was damit zu tun ist", leftRotation: "der Drehung, Grad", leftPosition: "des Orts, mm", leftPoints: "der vermessenen Punkte, mm",
+    leftOf: (says, value, good) => `Rest ${says}: ${value} (gut genug bis ${good})`,
+    imuGood: "Gut genug: Die Ruhelagen stimmen auf 0,1 m/s² der Schwerkraft überein, die Feldlänge, falls es eine gibt, auf 5 %.",
+    bodyGood: (degrees) => `Gut genug: Jeder Sensor stimmt auf ${degrees} Grad mit seinen Nachbarn überein.`,
+    bodyWeak: (segments, degrees) => `Nicht gut genug: ${segments.join(", ")} ${segments.length === 1 ? "weicht" : "weichen"} um mehr als ${degrees} Grad ab. Neu anschnallen und noch einmal kalibrieren.`,
+    fieldHelp: "Den Stab langsam durch alle Orte führen, an denen jemand sein wird, in allen Richtungen. Was noch fehlt, steht währenddessen hier.",
     keys: "Was in die Stage-Datei gehört", pose: "Wie man steht, und was sich bewegt", beginsIn: (s: number) => `Bitte aufstellen: Es beginnt in ${s} s`,
     own: "Die Posen sind die des Trackers: Keine Karte wird benutzt.", ofFile: "der Stage-Datei",
     inUse: (version, map, raw, heldout) => `Karte ${version} wird benutzt: ${map}; ein Stab ist ohne sie um ${raw} mm gebogen, mit ihr um ${heldout} mm`,
@@ -197,7 +211,7 @@ export const de: Text = {
     devices: "Geräte", deviceHead: ["Gerät", "Treiber", "Anschluss", "Zustand", "Rate, Hz", "Alter, ms", "Uhr ±, ms", "Datensätze", "Verworfen", "Übersprungen"],
     sensors: "Sensoren", sensorHead: ["Sensor", "Zustand", "Rate, Hz", "Alter, ms", "x, m", "y, m", "z, m", "w", "x", "y", "z", "σ, mm", "Messungen", "Verloren"],
     history: (minutes) => (minutes === 1 ? "Die letzte Minute" : `Die letzten ${minutes} Minuten`), historyOf: (kind, name) => `${kind} von ${name}`,
-    historyHead: { rate_hz: "Rate, Hz", lost: "Verloren, %", noise_m: "Rauschen, mm", clock_sigma_s: "Uhr ±, ms", battery: "Akku, %" },
+    historyHead: { rate_hz: "Rate, Hz", lost: "Verloren, %", noise_m: "Rauschen, mm", clock_sigma_s: "Uhr ±, ms", battery: "Akku, %", signal_dbm: "Funk, dBm" },
     historyHelp: "Neuester Wert, in Klammern der schlechteste. Bewegung zählt zum Rauschen: Das eines ruhenden Sensors ist das des Trackers.",
     latency: "Latenz in der letzten Sekunde", latencyHead: ["Von wo bis wo", "Median, ms", "99 %, ms", "Längste, ms"],
     noDevices: "In der Stage-Datei steht kein Gerät: Einrichten findet, was angesteckt ist.",
@@ -231,7 +245,8 @@ export const de: Text = {
     loses: (share: string) => `${share} % seiner Messwerte gehen verloren`, losesFix: "Den Empfänger näher heranbringen, ein kürzeres Kabel nehmen oder das Gerät weniger Messwerte je Sekunde senden lassen.",
     clockLoose: (ms: string) => `seine Uhr ist nur auf ${ms} ms bekannt`, clockFix: "Eine halbe Minute warten: Sie pendelt sich ein. Wenn nicht, verzögert der USB-Adapter oder das Netz, was es sendet.",
     figures: (hz: string, lost: string, ms: string) => `${hz} Hz, ${lost} % verloren, Uhr ± ${ms} ms`,
-    first: "Besser zuerst", optional: "einmal je Einheit und Raum; es geht auch ohne", doneNow: "getan", open: "Öffnen", openNamed: (name: string) => `${name} in Kalibrieren öffnen`,
+    calibrations: "Kalibrierungen, in ihrer Reihenfolge", optional: "einmal je Einheit und Raum; es geht auch ohne", needed: "nötig", doneNow: "getan", leftOut: "ausgelassen", open: "Öffnen", openNamed: (name) => `Öffnen: ${name}`,
+    leaveOut: (name) => `Auslassen: ${name}`, thenNext: (name) => `Nächste Kalibrierung: ${name}`, bodyWhy: "Wie jeder Sensor auf seinem Segment sitzt: Ohne das gibt es keinen Körper.",
     imuWhy: "Biase und Skalen einer IMU: Winkel driften weniger.", alignWhy: "Wie der Sender im Raum steht: Oben ist oben, und IMUs stimmen damit überein.", fieldWhy: "Metall verbiegt das Feld: Positionen werden um Zentimeter besser.",
     bodyMissing: "Noch ist nicht bekannt, wie die Sensoren sitzen: den Körper kalibrieren.", bodyKnown: "Es ist bekannt, wie die Sensoren sitzen.", noCalibration: "Auf dieser Stage muss nichts kalibriert werden.",
     verdict: "Ist es gut genug?", tracks: "Es verfolgt: Alles ist gut.", notYetGood: "Es verfolgt, aber noch ist nicht alles gut.", nothingYet: "Noch wird nichts verfolgt.", watch: "Ansehen",

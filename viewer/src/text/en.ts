@@ -1,5 +1,10 @@
 // All that the page says, in English. Another language is a file of the same type: what it lacks fails the build.
 
+import type { Problem } from "../../../docs/schema/posed.v1";
+
+/** What a calibration of the body asks for: a pose or movement, the how-manieth, whose sensors are silent, why once more. */
+export type Asked = { asks: string | null; step: number; steps: number; silent: string; objection: string | null };
+
 /** Some words that begin a sentence with a number: one of them, or several. */
 const count = (n: number, one: string, several: string) => `${n} ${n === 1 ? one : several}`;
 
@@ -62,9 +67,18 @@ export const en = {
     measure: "Measure", measuring: "choose two sensors", distance: (a: string, b: string, mm: string) => `${a} to ${b}: ${mm} mm`,
     fps: (n: number) => `${n} pictures/s`, latency: (ms: string) => `${ms} ms latency`,
     noSensors: "No sensor is known yet.", noSensorsNext: "Plug a device in: Set up finds it and names it in the stage file.",
+    battery: "Battery", signal: "Signal", charge: (percent: string, volts: number | null | undefined) => `${percent} %${volts == null ? "" : `, ${volts.toFixed(2)} V`}`,
     rate: (hz: string) => `${hz} Hz`, lost: (n: number) => `${n} lost`, sparkline: (name: string) => `Rate of ${name} over the last minute`,
     hideRail: "Hide the list", showRail: "Show the list", selected: "Selected",
     position: "Position, m", speed: "Speed, m/s", sigma: "σ, mm", age: "Age, ms",
+  },
+  /** What the daemon says is English already: what another language says in its place, by code; null where it has nothing. */
+  daemon: {
+    problem: (_problem: Problem): string | null => null,
+    /** A pose or movement that a calibration asks for. */
+    asked: (_asked: Asked): string | null => null,
+    /** A word of its vocabulary: a cause, a joint, an angle, a segment. */
+    term: (word: string): string => word.replaceAll("_", " "),
   },
   states: { ok: "good", suspect: "suspect", missing: "missing", late: "late", stuck: "stuck", repaired: "repaired", extrapolated: "outside the map" },
   links: { streaming: "streaming", connecting: "connecting", silent: "silent", failed: "failed" },
@@ -85,6 +99,12 @@ export const en = {
     withImu: "the one with an IMU", magneticSensor: "Magnetic sensor", align: "Align the stage", surveyedRoom: "Surveyed point, room, m:", points: "Surveyed points of the room",
     pointName: "name of the point", axis: (axis: string) => `${axis} of the point, m`, add: "Add",
     alignHelp: "Finds how the transmitter stands and how an IMU sits on its sensor: turn the sensor in your hand, or hold it at surveyed points.",
+    handling: "What to do with it", leftRotation: "rotation, degrees", leftPosition: "position, mm", leftPoints: "surveyed points, mm",
+    leftOf: (says: string, value: string, good: string) => `Left of ${says}: ${value} (good enough up to ${good})`,
+    imuGood: "Good enough: the rests agree on gravity within 0.1 m/s², and the field's length, if there is one, within 5 %.",
+    bodyGood: (degrees: number) => `Good enough: every sensor agrees with its neighbours within ${degrees} degrees.`,
+    bodyWeak: (segments: string[], degrees: number) => `Not good enough: ${segments.join(", ")} ${segments.length === 1 ? "disagrees" : "disagree"} by more than ${degrees} degrees. Strap anew, and calibrate again.`,
+    fieldHelp: "Move the pole slowly through all places where somebody will be, in all directions. What is still missing is said meanwhile.",
     keys: "What to write into the stage file", pose: "How to stand, and what moves", beginsIn: (s: number) => `Take your place: it begins in ${s} s`,
     own: "Poses are the tracker's own: no map is in use.", ofFile: "of the stage file",
     inUse: (version: string, map: string, raw: string, heldout: string) => `Map ${version} is in use: ${map}; a pole is bent by ${raw} mm without it and by ${heldout} mm with it`,
@@ -196,7 +216,7 @@ export const en = {
     devices: "Devices", deviceHead: ["Device", "Driver", "Port", "State", "Rate, Hz", "Age, ms", "Clock ±, ms", "Records", "Rejected", "Skipped"],
     sensors: "Sensors", sensorHead: ["Sensor", "State", "Rate, Hz", "Age, ms", "x, m", "y, m", "z, m", "w", "x", "y", "z", "σ, mm", "Samples", "Lost"],
     history: (minutes: number) => `The last ${minutes === 1 ? "minute" : `${minutes} minutes`}`, historyOf: (kind: string, name: string) => `${kind} of ${name}`,
-    historyHead: { rate_hz: "Rate, Hz", lost: "Lost, %", noise_m: "Noise, mm", clock_sigma_s: "Clock ±, ms", battery: "Battery, %" },
+    historyHead: { rate_hz: "Rate, Hz", lost: "Lost, %", noise_m: "Noise, mm", clock_sigma_s: "Clock ±, ms", battery: "Battery, %", signal_dbm: "Signal, dBm" },
     historyHelp: "Newest value, and in brackets the worst. Motion adds to the noise: that of a sensor at rest is the tracker's own.",
     latency: "Latency since the last second", latencyHead: ["From where to where", "Median, ms", "99 %, ms", "Longest, ms"],
     noDevices: "No device is in the stage file: Set up finds those that are plugged in.",
@@ -230,7 +250,8 @@ export const en = {
     loses: (share: string) => `${share} % of its samples are lost`, losesFix: "Bring the receiver closer, use a shorter cable, or let the device send fewer samples a second.",
     clockLoose: (ms: string) => `its clock is only known to ${ms} ms`, clockFix: "Wait half a minute: it settles. If it does not, its USB adapter or network delays what it sends.",
     figures: (hz: string, lost: string, ms: string) => `${hz} Hz, ${lost} % lost, clock ± ${ms} ms`,
-    first: "Better first", optional: "once for each unit and room; it goes without", doneNow: "done", open: "Open", openNamed: (name: string) => `Open ${name} in Calibrate`,
+    calibrations: "Calibrations, in their order", optional: "once for each unit and room; it goes without", needed: "needed", doneNow: "done", leftOut: "left out", open: "Open", openNamed: (name: string) => `Open: ${name}`,
+    leaveOut: (name: string) => `Leave out: ${name}`, thenNext: (name: string) => `Next calibration: ${name}`, bodyWhy: "How each sensor sits on its segment: without it there is no body.",
     imuWhy: "Biases and scales of one IMU: angles drift less.", alignWhy: "How the transmitter stands in the room: up is up, and IMUs agree with it.", fieldWhy: "Metal bends the field: positions get better by centimetres.",
     bodyMissing: "It is not known yet how the sensors sit: calibrate the body.", bodyKnown: "It is known how the sensors sit.", noCalibration: "Nothing on this stage needs a calibration.",
     verdict: "Is it good enough?", tracks: "It tracks: everything is good.", notYetGood: "It tracks, but not everything is good yet.", nothingYet: "Nothing is tracked yet.", watch: "Watch it",

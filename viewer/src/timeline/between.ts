@@ -1,6 +1,7 @@
 // Moments of a recording that are known, and what lies between two of them: a recording shows itself a few times a second, eyes see sixty.
 
 import type { Look, Quat, Vec3 } from "../protocol";
+import { lowerBound } from "../search";
 
 /** Further apart nothing is known of what lies between, s: a recording shows itself five times a second. */
 const APART_S = 0.3;
@@ -37,13 +38,7 @@ export class Moments {
 
   /** Place of the last one at a time or before; -1: none. */
   private place(t_s: number): number {
-    let [low, high] = [0, this.known.length];
-    while (low < high) {
-      const middle = (low + high) >> 1;
-      if (this.known[middle]!.look.t_s <= t_s) low = middle + 1;
-      else high = middle;
-    }
-    return low - 1;
+    return lowerBound(this.known.length, (i) => this.known[i]!.look.t_s <= t_s) - 1;
   }
 }
 

@@ -1,7 +1,8 @@
 // What happens in a recording, by lanes, each in order of time; and what of a lane is seen.
 
-import { spoken } from "../format";
 import type { Digest, LabelSpan } from "../protocol";
+import { lowerBound } from "../search";
+import { words } from "../text/index.svelte";
 import type { Window } from "./window";
 
 export const LANES = ["marks", "labels", "segments", "repetitions", "faults", "key_poses"] as const;
@@ -22,7 +23,7 @@ export function lanesOf(digest: Digest, labels: readonly LabelSpan[]): Lane[] {
     labels: labels.map(({ label, from_s, to_s }) => ({ lane: "labels", from_s, to_s, says: label, kind: kind(label) })),
     segments: digest.segments.map(({ label, from_s, to_s }) => ({ lane: "segments", from_s, to_s, says: label, kind: kind(label) })),
     repetitions: digest.repetitions.map(({ exercise, from_s, t_s, counted }) => ({ lane: "repetitions", from_s, to_s: t_s, says: exercise, kind: counted ? 0 : 1 })),
-    faults: digest.faults.map(({ sensor, fault, from_s, to_s }) => ({ lane: "faults", from_s, to_s, says: `${sensor}: ${spoken(fault)}`, kind: 0 })),
+    faults: digest.faults.map(({ sensor, fault, from_s, to_s }) => ({ lane: "faults", from_s, to_s, says: `${sensor}: ${words.text.daemon.term(fault)}`, kind: 0 })),
     key_poses: digest.key_poses.map(({ sensor, t_s }) => ({ lane: "key_poses", from_s: t_s, to_s: t_s, says: sensor, kind: 0 })),
   };
   return LANES.filter((name) => all[name].length > 0).map((name) => {
@@ -33,13 +34,7 @@ export function lanesOf(digest: Digest, labels: readonly LabelSpan[]): Lane[] {
 
 /** Place of the first item that begins at a time or later. */
 export function firstFrom(items: readonly Item[], t_s: number): number {
-  let [low, high] = [0, items.length];
-  while (low < high) {
-    const middle = (low + high) >> 1;
-    if (items[middle]!.from_s < t_s) low = middle + 1;
-    else high = middle;
-  }
-  return low;
+  return lowerBound(items.length, (i) => items[i]!.from_s < t_s);
 }
 
 /** Those that reach into a window. */
