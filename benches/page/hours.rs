@@ -12,7 +12,7 @@ use tokio_tungstenite::tungstenite::handshake::server::{ErrorResponse, Request, 
 use tokio_tungstenite::tungstenite::http::HeaderValue;
 use tokio_tungstenite::{WebSocketStream, accept_hdr_async, connect_async};
 
-use super::chromium::{Browser, resident_bytes};
+use super::chromium::{Browser, Screen, resident_bytes};
 use super::stage::Served;
 use super::{PROBE, VIEWS};
 
@@ -26,7 +26,7 @@ pub(crate) async fn run(served: &Served, hours: f64) {
     let relay = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let port = relay.local_addr().unwrap().port();
     let script = format!("window.probeUrl = 'ws://127.0.0.1:{port}/ws';\n{PROBE}");
-    let mut browser = Browser::open_with(&served.url, Some(&script)).await;
+    let mut browser = Browser::open_on(Screen::Full, &served.url, Some(&script)).await;
     let mut page = accept(&relay).await;
     println!("keeping {} s of the daemon's own messages", KEPT.as_secs());
     let kept = keep(&mut page, &served.url).await;

@@ -2,6 +2,8 @@
 //!
 //! ```text
 //! cargo bench --bench page                  scripting and drawing calls per frame, by view; then a hidden tab
+//! cargo bench --bench page -- --demo        the same with the 13 sensors and the body of `posed demo` as it is
+//! cargo bench --bench page -- --take a.mcap jumps on the timeline of a take, from the press to the picture of that moment
 //! cargo bench --bench page -- --openings 10 from opening the page to a moving body, each in a fresh browser
 //! cargo bench --bench page -- --hours 8     memory over so many hours of messages, as fast as the page takes them
 //! ```
@@ -15,11 +17,12 @@
 #[path = "../../tests/chromium/mod.rs"]
 mod chromium;
 mod hours;
+mod jumps;
 mod stage;
 
 use std::time::Duration;
 
-use chromium::Browser;
+use chromium::{Browser, Screen};
 use clap::Parser;
 
 #[derive(Parser)]
@@ -27,6 +30,12 @@ struct Args {
     /// Hours of messages, in place of the other figures.
     #[arg(long)]
     hours: Option<f64>,
+    /// The stage of `posed demo`, without the birds.
+    #[arg(long)]
+    demo: bool,
+    /// Jumps in this take, in place of the other figures.
+    #[arg(long)]
+    take: Option<std::path::PathBuf>,
     /// So many openings of the page of `posed demo`, in place of the other figures.
     #[arg(long)]
     openings: Option<usize>,
@@ -47,10 +56,17 @@ const VIEWS: [&str; 6] = ["watch", "coach", "check", "calibrate", "analyse", "ta
 #[tokio::main]
 async fn main() {
     let args = Args::parse();
-    match (args.hours, args.openings) {
-        (_, Some(count)) => openings(&stage::Served::demo(), count).await,
-        (Some(hours), None) => hours::run(&stage::Served::start(), hours).await,
-        (None, None) => frames(&stage::Served::start(), Duration::from_secs_f64(args.seconds)).await,
+    if let Some(take) = args.take {
+        return jumps::run(&stage::Served::replay(&take)).await;
+    }
+    if let Some(count) = args.openings {
+        return openings(&stage::Served::demo(), count).await;
+    }
+    let (served, sensors) =
+        if args.demo { (stage::Served::demo(), 13) } else { (stage::Served::start(), 50) };
+    match args.hours {
+        Some(hours) => hours::run(&served, hours).await,
+        None => frames(&served, sensors, Duration::from_secs_f64(args.seconds)).await,
     }
 }
 
@@ -58,7 +74,7 @@ async fn main() {
 async fn openings(served: &stage::Served, count: usize) {
     let mut all_ms = Vec::new();
     for _ in 0..count {
-        let mut browser = Browser::open_with(&served.url, Some(PROBE)).await;
+        let mut browser = Browser::open_on(Screen::Full, &served.url, Some(PROBE)).await;
         browser.until("probe.moved_ms() !== null").await;
         all_ms.push(browser.value("probe.moved_ms()").await.as_f64().unwrap());
     }
@@ -67,9 +83,11 @@ async fn openings(served: &stage::Served, count: usize) {
     println!("{count} openings: {middle:.2} s to a moving body (median), {first:.2} to {last:.2} s");
 }
 
-async fn frames(served: &stage::Served, each: Duration) {
-    let mut browser = Browser::open_with(&served.url, Some(PROBE)).await;
-    browser.until("document.getElementById('summary').textContent.includes('of 50 are good')").await;
+async fn frames(served: &stage::Served, sensors: u32, each: Duration) {
+    let mut browser = Browser::open_on(Screen::Full, &served.url, Some(PROBE)).await;
+    browser
+        .until(&format!("document.getElementById('summary').textContent.includes('of {sensors} are good')"))
+        .await;
     println!("| view | frames per second | messages per second | median, ms | 95 %, ms | 99 %, ms |");
     println!("|---|---|---|---|---|---|");
     for view in VIEWS {

@@ -11,6 +11,13 @@ window.probe = (() => {
   let first = null;
   let has_moved = false;
   let moved_ms = null;
+  /** A jump: when it was pressed, the looks that were asked for since, whether one has come, when it was drawn; when frames came from there. */
+  let pressed_ms = null;
+  let wished_s = null;
+  let asked = new Set();
+  let has_looked = false;
+  let looked_ms = null;
+  let arrived_ms = null;
 
   /** Whether the body is no longer where the first message of it had it: by a quarter of a degree. */
   const moves = (data) => {
@@ -32,11 +39,27 @@ window.probe = (() => {
     costs_ms.push(sum_ms);
     if (costs_ms.length > 100000) costs_ms.shift();
     sum_ms = 0;
+    if (has_looked) looked_ms ??= performance.now() - pressed_ms;
     if (has_moved) moved_ms ??= performance.now();
     if (shown_ms !== null && newest_ms > shown_ms && current_ms === null) current_ms = performance.now() - shown_ms;
   });
 
+  const jump = (data) => {
+    if (pressed_ms === null || typeof data !== "string") return;
+    const message = JSON.parse(data);
+    if (message.type === "ok" && asked.has(message.id)) has_looked = true;
+    // Frames of before are on their way still.
+    if (message.type === "sensors" && wished_s !== null && Math.abs(message.t_s - wished_s) < 0.5) arrived_ms ??= performance.now() - pressed_ms;
+  };
+  addEventListener("pointerdown", () => (pressed_ms ??= performance.now()), true);
+
   window.WebSocket = class extends WebSocket {
+    send(data) {
+      const request = typeof data === "string" ? JSON.parse(data) : {};
+      if (request.type === "replay.look") asked.add(request.id);
+      if (request.type === "replay.seek") wished_s = request.t_s;
+      super.send(data);
+    }
     constructor(url, protocols) {
       super(window.probe.url ?? url, protocols);
     }
@@ -46,6 +69,7 @@ window.probe = (() => {
         newest_ms = performance.now();
         timed(callback, event);
         has_moved ||= moves(event.data);
+        jump(event.data);
       };
     }
   };
@@ -69,6 +93,17 @@ window.probe = (() => {
       return { frames: sorted.length, messages, p50_ms: at(0.5), p95_ms: at(0.95), p99_ms: at(0.99) };
     },
     messages: () => messages,
+    /** Waits for a press from now on. */
+    jumps() {
+      pressed_ms = wished_s = looked_ms = arrived_ms = null;
+      has_looked = false;
+      asked = new Set();
+    },
+    jumped_ms: () => performance.now() - (pressed_ms ?? Infinity),
+    /** From the press to the end of the frame that draws what was asked for. */
+    looked_ms: () => looked_ms,
+    /** From the press to the first frames of the replay from there. */
+    arrived_ms: () => arrived_ms,
     current_ms: () => current_ms,
     /** From the opening to the end of the first frame with a body that has moved. */
     moved_ms: () => moved_ms,

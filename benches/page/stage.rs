@@ -4,6 +4,7 @@ use std::ffi::OsStr;
 use std::fmt::Write;
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 const DEMO: &str = include_str!("../../config/demo.toml");
@@ -19,7 +20,7 @@ pub(crate) struct Served {
 impl Served {
     /// `posed demo` as it is.
     pub(crate) fn demo() -> Self {
-        Self::spawn(tempfile::tempdir().unwrap(), &[])
+        Self::spawn(tempfile::tempdir().unwrap(), &["demo".as_ref()])
     }
 
     pub(crate) fn start() -> Self {
@@ -27,13 +28,19 @@ impl Served {
         posed_rig::copy_demo(folder.path());
         let path = folder.path().join("stage.toml");
         std::fs::write(&path, text()).unwrap();
-        Self::spawn(folder, &["--stage".as_ref(), path.as_os_str()])
+        Self::spawn(folder, &["demo".as_ref(), "--stage".as_ref(), path.as_os_str()])
     }
 
-    fn spawn(folder: tempfile::TempDir, more: &[&OsStr]) -> Self {
+    /// `posed replay` of a take.
+    pub(crate) fn replay(take: &Path) -> Self {
+        let take = std::fs::canonicalize(take).unwrap();
+        Self::spawn(tempfile::tempdir().unwrap(), &["replay".as_ref(), take.as_os_str()])
+    }
+
+    fn spawn(folder: tempfile::TempDir, command: &[&OsStr]) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_posed"))
-            .args(["demo", "--listen", "127.0.0.1:0"])
-            .args(more)
+            .args(command)
+            .args(["--listen", "127.0.0.1:0"])
             .current_dir(folder.path())
             .stdout(Stdio::piped())
             .stderr(Stdio::null())

@@ -34,6 +34,15 @@ pub(crate) fn is_wanted() -> bool {
     wanted
 }
 
+/// How often a page is drawn.
+#[derive(Clone, Copy)]
+pub(crate) enum Screen {
+    /// Ten times a second, for tests: many browsers share the processors.
+    Slow,
+    /// As often as the browser can, for what is measured.
+    Full,
+}
+
 /// A headless browser with one page, and all it has complained about.
 pub(crate) struct Browser {
     child: Child,
@@ -46,11 +55,15 @@ pub(crate) struct Browser {
 
 impl Browser {
     pub(crate) async fn open(url: &str) -> Self {
-        Self::open_with(url, None).await
+        Self::open_on(Screen::Slow, url, None).await
     }
 
     /// With a script that runs before those of the page; it may then talk to other addresses than the page's.
-    pub(crate) async fn open_with(url: &str, script: Option<&str>) -> Self {
+    pub(crate) async fn open_with(url: &str, script: &str) -> Self {
+        Self::open_on(Screen::Slow, url, Some(script)).await
+    }
+
+    pub(crate) async fn open_on(screen: Screen, url: &str, script: Option<&str>) -> Self {
         let profile = tempfile::tempdir().unwrap();
         let mut child = Command::new("chromium")
             .args(["--headless=new", "--no-sandbox", "--disable-background-networking"])
@@ -80,7 +93,9 @@ impl Browser {
         for domain in ["Runtime.enable", "Log.enable", "Page.enable"] {
             browser.call(domain, json!({})).await;
         }
-        browser.call("Page.addScriptToEvaluateOnNewDocument", json!({"source": SLOW_SCREEN})).await;
+        if let Screen::Slow = screen {
+            browser.call("Page.addScriptToEvaluateOnNewDocument", json!({"source": SLOW_SCREEN})).await;
+        }
         if let Some(script) = script {
             browser.call("Page.setBypassCSP", json!({"enabled": true})).await;
             browser.call("Page.addScriptToEvaluateOnNewDocument", json!({"source": script})).await;
@@ -225,9 +240,9 @@ impl Browser {
         renderers.map(|process| resident_bytes(process["id"].as_u64().unwrap() as u32)).max().unwrap()
     }
 
-    /// A picture for the documentation, where they are being made anew.
+    /// A picture for the documentation, where they are being made anew (`tests/pictures`) and a page of it shows this one.
     pub(crate) async fn picture(&mut self, name: &str) {
-        if std::env::var_os("POSED_BLESS").is_none() {
+        if std::env::var_os("POSED_BLESS").is_none() || !is_shown(name) {
             return;
         }
         // So that curves and trails have something to show.
@@ -245,6 +260,17 @@ impl Drop for Browser {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// Whether a page of the documentation shows this picture.
+fn is_shown(name: &str) -> bool {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let pages = std::fs::read_dir(root.join("docs")).unwrap().map(|page| page.unwrap().path());
+    let named = format!("pictures/{name}.png");
+    pages
+        .chain([root.join("README.md")])
+        .filter(|path| path.extension().is_some_and(|extension| extension == "md"))
+        .any(|path| std::fs::read_to_string(path).unwrap().contains(&named))
 }
 
 /// Memory that a process holds.

@@ -335,8 +335,7 @@ async fn a_chain_is_calibrated_in_the_browser_and_its_hinge_drawn() {
     // Whoever presses before the page is connected is heard.
     let at_once = "const press = () => document.getElementById('calibrate-body').click(); \
         if (self === top) addEventListener('DOMContentLoaded', press)";
-    let mut browser =
-        Browser::open_with(&format!("http://{}/#calibrate", posed.address), Some(at_once)).await;
+    let mut browser = Browser::open_with(&format!("http://{}/#calibrate", posed.address), at_once).await;
     browser.until("/^[12] of 2/.test(document.getElementById('prompt').textContent)").await;
     let (step, end) = ("2 of 2: Bend every hinge", "axes of the chain are known");
     if !carried_out(&mut browser, CALIBRATE, step, end).await {

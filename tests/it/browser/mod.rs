@@ -5,6 +5,7 @@
 
 pub(crate) mod calibration;
 mod console;
+mod looks;
 mod people;
 mod report;
 mod screens;
