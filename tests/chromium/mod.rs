@@ -242,11 +242,17 @@ impl Browser {
 
     /// A picture for the documentation, where they are being made anew (`tests/pictures`) and a page of it shows this one.
     pub(crate) async fn picture(&mut self, name: &str) {
+        self.picture_when(name, "true").await;
+    }
+
+    /// The same at a moment in which an expression on the page is true: a busy machine has others, too.
+    pub(crate) async fn picture_when(&mut self, name: &str, expression: &str) {
         if std::env::var_os("POSED_BLESS").is_none() || !is_shown(name) {
             return;
         }
         // So that curves and trails have something to show.
         self.pause(Duration::from_secs(6)).await;
+        self.until(expression).await;
         let shot = self.call("Page.captureScreenshot", json!({"format": "png"})).await;
         let bytes = base64(shot["data"].as_str().unwrap());
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/pictures");

@@ -496,6 +496,9 @@ async fn the_hubs_page_leads_to_the_stages_page() {
     assert_eq!(north.end("INT").await.code(), Some(0));
     browser.until(&format!("{}.className === 'bad'", cell("north", 1))).await;
     browser.until(&format!("{}.textContent.startsWith('vanished')", cell("north", 1))).await;
+    // A list of two needs no more.
+    let size = serde_json::json!({"width": 1000, "height": 240, "deviceScaleFactor": 1, "mobile": false});
+    browser.call("Emulation.setDeviceMetricsOverride", size).await;
     browser.picture("hub").await;
     browser.value("document.querySelector('#stages a[href=\"two/\"]').click()").await;
     browser.until("document.getElementById('link')?.textContent === 'live'").await;

@@ -225,6 +225,7 @@ async fn the_stage_is_aligned_in_the_browser() {
         }
     }
     assert!(right(&keys), "{keys}");
+    browser.value("document.getElementById('align-keys').scrollIntoView({ block: 'end' })").await;
     browser.picture("alignment").await;
     done(browser, posed).await;
 }

@@ -104,14 +104,14 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
         assert!(rate_hz > 0.0 && age_ms >= 0.0, "{sensor:?}");
     }
     browser.click("tab-watch").await;
-    browser
-        .until("document.getElementById('summary').textContent === '13 of 13 are good, corrected by the map'")
-        .await;
+    let all_good =
+        "document.getElementById('summary').textContent === '13 of 13 are good, corrected by the map'";
+    browser.until(all_good).await;
     browser
         .until("document.getElementById('body-summary').textContent === 'body: 10 of 10 segments measured'")
         .await;
     browser.until(PAINTED).await;
-    browser.picture("stage").await;
+    browser.picture_when("stage", all_good).await;
     // The therapist's picture, and the angles behind it.
     browser.click("tab-coach").await;
     browser.until(&PAINTED.replace("#watch", "#avatar")).await;
