@@ -2,8 +2,9 @@
 //!
 //! What comes in: samples in the order of their arrival, with the unit's counter or the number of the sample. What goes out: one
 //! [`Stamp`] per sample. A radio only adds: no sample arrives before it was measured. So the fastest arrivals say where the unit's clock
-//! lies on the host's, and the rest says nothing but how rare they are. Blocks of two seconds keep their fastest arrival each; the line that
-//! lies under all of them, and close to them, is the clock.
+//! lies on the host's, and the rest says nothing but how rare they are. Blocks of half a second keep their fastest arrival each; the line that
+//! lies under all of them, and close to them, is the clock. How far they lie above it shows how far the fastest of all may be from one that
+//! nothing has kept back: what is late is late for a while, so it is blocks that are counted, not arrivals.
 //!
 //! Of a unit that numbers its samples and has no clock the number is one, of a rate that shows itself. One that does neither is believed by
 //! its arrivals alone.
@@ -14,8 +15,8 @@ use posed_state::Plain;
 use super::{LEAST_STEP_NS, Settings, Stamp};
 
 /// Blocks that are kept, and how long each is, s: a minute shows a drift of some ppm.
-const BLOCKS: usize = 32;
-const BLOCK_S: f64 = 2.0;
+const BLOCKS: usize = 128;
+const BLOCK_S: f64 = 0.5;
 /// Time that blocks must span before their drift is believed; until then only the latest of them count, s.
 const DRIFTS_AFTER_S: f64 = 20.0;
 const RECENT_S: f64 = 10.0;
@@ -26,18 +27,19 @@ const RATE: f64 = 0.05;
 const USUAL_DRIFT: f64 = 5e-5;
 /// What a radio adds even to the fastest arrival is not known: 0 to 10 ms, as a standard deviation, s.
 const PATH_S: f64 = 3e-3;
-/// Lateness that is expected before any is known, and how many arrivals it counts as, s.
-const LATENESS_S: f64 = 0.04;
-const LATENESS_COUNT: f64 = 2.0;
-/// Arrivals closer together than this waited for the same thing, s.
-const APART_S: f64 = 0.02;
+/// How late the fastest arrival of a block is expected to be before any is known, s, and how many blocks that counts as.
+const EXCESS_S: f64 = 0.02;
+const EXCESS_BLOCKS: f64 = 2.0;
+/// How much less sure the fastest of all blocks is than if blocks had nothing to do with one another.
+const DEPENDENT: f64 = 1.5;
 /// A sample that is earlier than the line by so much is damaged, or of another life of the unit, until so many agree; s.
 const AHEAD_S: f64 = 0.02;
 const AGREEING: u32 = 3;
-/// So many arrivals must be known before anything is doubted.
-const FIRM: f64 = 20.0;
-/// Lateness of all of a block's arrivals, s, from which on the unit's clock has jumped or its number is no clock.
+/// So many blocks must be known before anything is doubted.
+const FIRM: usize = 8;
+/// Lateness of all arrivals of so many blocks, s, from which on the unit's clock has jumped or its number is no clock.
 const LOST_S: f64 = 0.5;
+const LOST_BLOCKS: usize = 20;
 /// A step on the unit's own clock further back than this is a restart, s.
 const RESTART_S: f64 = 1.0;
 /// Share of a step by which it may become shorter or longer while the line is put right.
@@ -59,9 +61,6 @@ struct Block {
     /// Device time of the fastest arrival, and host time less device time then.
     fastest_s: f64,
     offset_s: f64,
-    /// Arrivals that did not wait for one another, and by how much later than the line they came in sum.
-    count: f64,
-    late_s: f64,
 }
 
 /// Where a unit's own time begins on the clock's axis.
@@ -193,8 +192,7 @@ impl RadioClock {
         }
         let offset_s = t_read.seconds_since(origin.t) - device_s;
         let late_s = self.line.map_or(0.0, |line| offset_s - line.offset_s(device_s));
-        let is_firm = self.blocks.iter().map(|block| block.count).sum::<f64>() >= FIRM;
-        if late_s < -AHEAD_S && is_firm {
+        if late_s < -AHEAD_S && self.blocks.len() >= FIRM {
             self.ahead += 1;
             if self.ahead < AGREEING {
                 return self.by_arrival(raw, t_read);
@@ -203,7 +201,7 @@ impl RadioClock {
             return self.push(sample);
         }
         self.ahead = 0;
-        self.keep(device_s, offset_s, late_s.max(0.0), t_read);
+        self.keep(device_s, offset_s);
         if self.is_lost() {
             self.restart();
             return self.push(sample);
@@ -250,30 +248,23 @@ impl RadioClock {
     }
 
     /// Notes an arrival in the blocks, and draws the line anew where it says something.
-    fn keep(&mut self, device_s: f64, offset_s: f64, late_s: f64, t_read: Timestamp) {
-        let waited = self.latest.is_some_and(|latest| t_read.seconds_since(latest.t_read) < APART_S);
-        let count = if waited { 0.0 } else { 1.0 };
-        let late_s = if waited { 0.0 } else { late_s };
+    fn keep(&mut self, device_s: f64, offset_s: f64) {
         let drift = self.line.map_or(0.0, |line| line.drift);
         match self.blocks.last_mut().filter(|block| device_s - block.begun_s < BLOCK_S) {
             Some(block) => {
-                block.count += count;
-                block.late_s += late_s;
                 if offset_s - drift * device_s < block.offset_s - drift * block.fastest_s {
                     (block.fastest_s, block.offset_s) = (device_s, offset_s);
+                    self.line = self.fit(Some(drift));
                 }
             }
             None => {
                 if self.blocks.len() == BLOCKS {
                     self.blocks.remove(0);
                 }
-                let block = Block { begun_s: device_s, fastest_s: device_s, offset_s, count, late_s };
-                self.blocks.push(block);
+                self.blocks.push(Block { begun_s: device_s, fastest_s: device_s, offset_s });
                 self.line = self.fit(None);
-                return;
             }
         }
-        self.line = self.fit(Some(drift));
     }
 
     /// The line under the fastest arrivals, close to them: of all that no block lies under, the one that is nearest in the middle of the
@@ -284,19 +275,16 @@ impl RadioClock {
         let is_clock = self.origin.is_some_and(|origin| origin.is_clock);
         let most = if is_clock { CRYSTAL } else { RATE };
         let at_s = last.fastest_s;
-        let knows_drift = span_s >= DRIFTS_AFTER_S || !is_clock && self.blocks.len() > 2;
-        let recent = |block: &&Block| knows_drift || at_s - block.fastest_s <= RECENT_S;
-        let blocks = || self.blocks.iter().filter(recent);
-        let under = |drift: f64| {
-            let offsets = blocks().map(|block| block.offset_s + drift * (at_s - block.fastest_s));
-            offsets.fold(f64::INFINITY, f64::min)
-        };
-        let kept = drift;
-        let mut drift = kept.unwrap_or(0.0);
-        if knows_drift && kept.is_none() {
-            let middle_s = first.fastest_s + 0.5 * span_s;
+        let knows_drift = span_s >= DRIFTS_AFTER_S || !is_clock && self.blocks.len() > 4;
+        let blocks = || self.blocks.iter().filter(|block| knows_drift || at_s - block.fastest_s <= RECENT_S);
+        let offset_s = |block: &Block, drift: f64| block.offset_s + drift * (at_s - block.fastest_s);
+        let under = |drift: f64| blocks().map(|block| offset_s(block, drift)).fold(f64::INFINITY, f64::min);
+        let drift = drift.unwrap_or_else(|| {
+            if !knows_drift {
+                return 0.0;
+            }
             // The height in the middle is a concave function of the drift: a search in thirds finds its top.
-            let height = |drift: f64| under(drift) - drift * (at_s - middle_s);
+            let height = |drift: f64| under(drift) - drift * 0.5 * span_s;
             let (mut low, mut high) = (-most, most);
             for _ in 0..40 {
                 let third = (high - low) / 3.0;
@@ -306,23 +294,25 @@ impl RadioClock {
                     high -= third;
                 }
             }
-            drift = 0.5 * (low + high);
-        }
-        let (count, late_s) =
-            blocks().fold((0.0, 0.0), |(count, late_s), block| (count + block.count, late_s + block.late_s));
-        let mean_s = (late_s + LATENESS_COUNT * LATENESS_S) / (count + LATENESS_COUNT);
-        // The fastest of n arrivals is later than the fastest possible by about an n-th of the usual lateness, twice that where it is
-        // spread evenly.
-        let fastest_sigma_s = 2.0 * mean_s / (count + 1.0);
+            0.5 * (low + high)
+        });
+        let least_s = under(drift);
+        let count = blocks().count() as f64;
+        let excess_s = blocks().map(|block| offset_s(block, drift) - least_s).sum::<f64>();
+        let mean_s = (excess_s + EXCESS_BLOCKS * EXCESS_S) / (count + EXCESS_BLOCKS);
+        // The fastest of n is later than the fastest possible by an n-th of what each is, as a rule.
+        let still_late_s = mean_s / count;
+        let fastest_sigma_s = DEPENDENT * still_late_s;
         let drift_sigma =
             if knows_drift { (2.0 * fastest_sigma_s / span_s.max(BLOCK_S)).min(most) } else { USUAL_DRIFT };
-        Some(Line { at_s, offset_s: under(drift), drift, drift_sigma, fastest_sigma_s })
+        Some(Line { at_s, offset_s: least_s - still_late_s, drift, drift_sigma, fastest_sigma_s })
     }
 
-    /// Whether all arrivals of the newest whole block were so late that its time lies elsewhere.
+    /// Whether all arrivals of the latest blocks were so late that the unit's time lies elsewhere.
     fn is_lost(&self) -> bool {
-        let [.., whole, _] = self.blocks.as_slice() else { return false };
-        self.line.is_some_and(|line| whole.offset_s - line.offset_s(whole.fastest_s) > LOST_S)
+        let Some(line) = self.line.filter(|_| self.blocks.len() > LOST_BLOCKS) else { return false };
+        let late = |block: &Block| block.offset_s - line.offset_s(block.fastest_s) > LOST_S;
+        self.blocks.iter().rev().take(LOST_BLOCKS).all(late)
     }
 
     fn stamp(&mut self, raw: u64, t_read: Timestamp, device_s: f64, origin: &Origin) -> Stamp {
@@ -352,11 +342,10 @@ impl RadioClock {
         let held_s = (t_ns - model_ns) as f64 * 1e-9;
         let ahead_s = device_s - line.at_s;
         let coarse_s = if origin.is_clock { origin.tick_s / 12_f64.sqrt() } else { 0.0 };
-        let variance =
-            [PATH_S, line.fastest_sigma_s, line.drift_sigma * ahead_s.max(BLOCK_S), coarse_s, held_s]
-                .iter()
-                .map(|sigma| sigma * sigma)
-                .sum::<f64>();
+        let variance = [PATH_S, line.fastest_sigma_s, line.drift_sigma * ahead_s.max(1.0), coarse_s, held_s]
+            .iter()
+            .map(|sigma| sigma * sigma)
+            .sum::<f64>();
         let sigma_s = variance.sqrt();
         let t_valid = Timestamp::from_nanos(t_ns);
         self.latest = Some(Latest { raw, t_read, t_valid, device_s, sigma_s, queued: false });
@@ -481,7 +470,8 @@ mod tests {
                     let radio = Radio { drift, tick_s, ..Radio::usual(jitter_s, seed) };
                     let (errors, late) = radio.run(&mut RadioClock::new(settings()), 5.0, 120.0);
                     let what = format!("{jitter_s} s, {drift}, {tick_s:?}, {seed}");
-                    let near = share(&errors, |(error_s, _)| error_s.abs() < 8e-3);
+                    // It takes a few seconds until something comes undelayed.
+                    let near = share(&errors[600..], |(error_s, _)| error_s.abs() < 8e-3);
                     let stated = share(&errors, |(error_s, sigma_s)| error_s.abs() < 2.0 * sigma_s);
                     assert!(near > 0.95 && stated > 0.95, "{what}: {near} {stated}");
                     assert!(late < 120, "{what}: {late} late");
