@@ -75,6 +75,7 @@ pub(crate) struct Board {
     /// Whether the server has taken its hello (a browser's only).
     is_connected: bool,
     was_quiet: bool,
+    has_sent: bool,
     next_hello: Timestamp,
     next_battery: Timestamp,
     level: f64,
@@ -113,6 +114,7 @@ impl Board {
             clock: (Timestamp::ZERO, begins.1),
             is_connected: carrier != Carrier::Browser,
             was_quiet: true,
+            has_sent: false,
             next_hello: Timestamp::ZERO,
             next_battery: Timestamp::ZERO,
             level: 0.9,
@@ -266,7 +268,7 @@ impl OpenImu {
         if is_quiet {
             return;
         }
-        if was_quiet && cycle > 0 {
+        if was_quiet && board.has_sent {
             board.restart(t);
         }
         if !board.is_connected {
@@ -301,6 +303,7 @@ impl OpenImu {
             });
         }
         self.boards[k].next = self.boards[k].next.wrapping_add(1);
+        self.boards[k].has_sent = true;
     }
 
     /// The host says something to a device.
@@ -370,7 +373,9 @@ impl Unit for OpenImu {
             if says {
                 let hello = board.hello();
                 self.emit(chassis, t, k, &hello);
-                if !is_browser && self.boards[k].cycle == 0 {
+                let is_in_network =
+                    matches!(self.boards[k].carrier, Carrier::Osc | Carrier::Lines { on_wire: false });
+                if is_in_network && !self.boards[k].has_sent {
                     self.emit(chassis, t, k, DISCOVERY);
                 }
             }
