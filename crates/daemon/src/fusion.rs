@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::sync::mpsc as std_mpsc;
 use std::time::Duration;
 
-use posed_drivers::Timestamp;
+use posed_drivers::{Found, Timestamp};
 use tokio::sync::mpsc;
 
 use super::clock::StageClock;
@@ -211,6 +211,11 @@ pub enum Command {
         body: BodyIndex,
         /// Where the IMU of each segment goes.
         to: std_mpsc::SyncSender<[Option<SensorIndex>; SEGMENTS]>,
+    },
+    /// Reports, for each device, which sensors send to it and are not on the stage.
+    Found {
+        /// Where it goes.
+        to: std_mpsc::SyncSender<Vec<Vec<Found>>>,
     },
     /// Reports how the pipeline stands, for fusion on another machine; the sentence states why not.
     Begin {
@@ -446,6 +451,10 @@ impl Fusion {
             Command::Begin { to } => _ = to.send(self.begin()),
             Command::Watch { calibration, observer } => self.observers.watch(calibration, observer),
             Command::BodyImus { body, to } => _ = to.send(self.pipeline.body_imus(body)),
+            Command::Found { to } => {
+                let devices = self.pipeline.status().devices;
+                let _ = to.send(devices.into_iter().map(|device| device.found).collect());
+            }
             Command::Unit { sensor, to } => {
                 let _ = to.send(self.pipeline.unit(sensor).map(str::to_owned));
             }

@@ -4,8 +4,9 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::super::find::proposal::propose;
+use super::super::find::proposal::{newcomers, propose};
 use super::super::find::survey::{self, Wanted};
+use super::super::fusion::{Command, FusionInbox};
 use super::super::jobs::{Failure, Job};
 use super::super::rehearse;
 use super::super::stages::Editor;
@@ -120,8 +121,8 @@ impl Calls {
 
     /// Asks what is at the ports.
     pub(super) fn find_ports(&self, port: Option<String>, reply: Reply) {
-        let stage = self.stage.clone();
-        self.jobs.run("setup.find", reply, move |job| find(&stage, port, job));
+        let (stage, inbox) = (self.stage.clone(), self.inbox.clone());
+        self.jobs.run("setup.find", reply, move |job| find(&stage, &inbox, port, job));
     }
 }
 
@@ -185,8 +186,8 @@ fn body(keys: &toml::Table) -> SetupBody {
     SetupBody { name: if name.is_empty() { "person".to_owned() } else { name }, height_m }
 }
 
-/// What the devices of the stage have, and what answers at all other ports.
-fn find(stage: &Stage, port: Option<String>, job: &Job) -> Result<String, Failure> {
+/// What the devices of the stage have, what sends to them and is not on the stage, and what answers at all other ports.
+fn find(stage: &Stage, inbox: &FusionInbox, port: Option<String>, job: &Job) -> Result<String, Failure> {
     let held: Vec<FoundPort> = (0..stage.devices.len()).map(|index| held(stage, index)).collect();
     let is_held = |port: &str| held.iter().any(|held| same_port(&held.port, port));
     if let Some(port) = &port
@@ -203,11 +204,15 @@ fn find(stage: &Stage, port: Option<String>, job: &Job) -> Result<String, Failur
     };
     let names = stage.devices.iter().map(|device| device.name.as_str());
     let names: Vec<&str> = names.chain(stage.sensors.iter().map(|sensor| sensor.name.as_str())).collect();
+    let sending = if alone { Vec::new() } else { inbox.ask(|to| Command::Found { to })? };
+    let sending = stage.devices.iter().zip(&sending);
+    let sending: Vec<FoundPort> =
+        sending.filter_map(|(device, found)| newcomers(device, found, &names)).collect();
     let mut shown: Vec<Option<FoundPort>> = asked.iter().map(|_| None).collect();
     let all = |answered: &[Option<FoundPort>], network: &[FoundPort]| {
         let mut ports: Vec<FoundPort> = answered.iter().flatten().chain(network).cloned().collect();
         propose(&mut ports, &names);
-        ports.splice(0..0, held.iter().cloned());
+        ports.splice(0..0, held.iter().chain(&sending).cloned());
         Found { ports }
     };
     let tell = |fraction: f64, message: String, found: &Found| match serde_json::to_value(found) {

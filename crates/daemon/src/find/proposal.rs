@@ -2,9 +2,11 @@
 
 use serde_json::{Map, Value, json};
 
+use posed_drivers::Found;
 use posed_drivers::flock::wire::Addressing;
-use posed_protocol::FoundPort;
+use posed_protocol::{FoundPort, FoundSensor};
 use posed_stage::edit::{Change, Table};
+use posed_stage::{Device, Driver};
 
 /// Notes at each port that has a usable device the changes that add it and every sensor it has. No name is one of `taken`, and none comes
 /// twice.
@@ -17,6 +19,40 @@ pub fn propose<'p>(ports: impl IntoIterator<Item = &'p mut FoundPort>, taken: &[
             port.adds = additions(port, &driver, &mut taken);
         }
     }
+}
+
+/// Sensors that send to a device of the stage without being on it, with the changes that add them; `None` where there are none. No name is one
+/// of `taken`.
+pub fn newcomers(device: &Device, found: &[Found], taken: &[&str]) -> Option<FoundPort> {
+    let Driver::OpenImu(settings) = &device.driver else { return None };
+    let mut taken: Vec<String> = taken.iter().map(|&name| name.to_owned()).collect();
+    let mut listed = settings.devices.clone();
+    let (mut sensors, mut adds) = (Vec::new(), Vec::new());
+    for Found { id, sensor, .. } in found {
+        let known = listed.iter().position(|known| known == id).unwrap_or(listed.len());
+        if known == listed.len() {
+            listed.push(id.clone());
+        }
+        let serial = if *sensor == 0 { id.clone() } else { format!("{id}/{sensor}") };
+        let address = u16::from(*sensor) << 8 | (known as u16 + 1);
+        let name = free(&serial.replace('/', "-"), &mut taken);
+        let keys = [("name", json!(name)), ("device", json!(device.name)), ("address", json!(address))];
+        let keys = keys.map(|(key, value)| (key.to_owned(), value)).into_iter().collect();
+        adds.push(Change::Add { table: Table::Sensor, keys });
+        sensors.push(FoundSensor { address, serial: Some(serial) });
+    }
+    if listed.len() > settings.devices.len() {
+        let (name, key) = (device.name.clone(), "devices".to_owned());
+        adds.insert(0, Change::Set { table: Table::Device, name, key, value: Some(json!(listed)) });
+    }
+    (!sensors.is_empty()).then(|| FoundPort {
+        port: device.port.clone(),
+        driver: Some(device.driver.word().to_owned()),
+        model: found.iter().find_map(|found| found.name.clone()).filter(|_| found.len() == 1),
+        sensors,
+        adds,
+        ..FoundPort::default()
+    })
 }
 
 fn additions(port: &FoundPort, driver: &str, taken: &mut Vec<String>) -> Vec<Change> {
@@ -98,7 +134,6 @@ fn names(driver: &str) -> (&str, &str) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posed_protocol::FoundSensor;
     use posed_stage::Stage;
     use posed_stage::edit::edit;
 
@@ -194,6 +229,23 @@ mod tests {
         assert_eq!(stage.devices[0].name, "flock-2");
         let sensors: Vec<&str> = stage.sensors.iter().map(|sensor| sensor.name.as_str()).collect();
         assert_eq!(sensors, ["flock-2-bird-1", "flock-2-bird-2-2"]);
+    }
+
+    #[test]
+    fn who_sends_to_a_port_of_the_stage_can_be_added_to_it() {
+        let text = "name = \"s\"\n[[device]]\nname = \"boards\"\ndriver = \"open-imu\"\nport = \"udp://0.0.0.0:9301\"\ndevices = [\"a\"]\n\
+                    [[sensor]]\nname = \"hand\"\ndevice = \"boards\"\naddress = 1\n";
+        let stage = Stage::parse(text).unwrap();
+        let found =
+            |id: &str, sensor| Found { id: id.to_owned(), sensor, name: None, place: None, rate_hz: None };
+        assert_eq!(newcomers(&stage.devices[0], &[], &[]), None);
+        let port = newcomers(&stage.devices[0], &[found("a", 1), found("b", 0)], &["b"]).unwrap();
+        let stage = Stage::parse(&edit(text, &port.adds).unwrap()).unwrap();
+        let sensors: Vec<(&str, u16)> =
+            stage.sensors.iter().map(|sensor| (sensor.name.as_str(), sensor.address)).collect();
+        assert_eq!(sensors, [("hand", 1), ("a-1", 0x101), ("b-2", 2)]);
+        let Driver::OpenImu(settings) = &stage.devices[0].driver else { panic!() };
+        assert_eq!(settings.devices, ["a", "b"]);
     }
 
     #[test]
