@@ -22,7 +22,7 @@ const FIRST_S: f64 = 6.0;
 const AWAY_S: f64 = 3.0;
 const TURN_S: f64 = 1.5;
 /// Samples a second of boards and phones, and what their radios add at most, ms.
-const RADIOS: [(f64, f64); 2] = [(100.0, 80.0), (60.0, 30.0)];
+const RADIOS: [(f64, f64); 2] = [(100.0, 40.0), (60.0, 60.0)];
 /// Trackers of the chain on a wire, which count.
 const TRACKERS: u16 = 3;
 
@@ -186,7 +186,8 @@ fn radios_lose_what_they_lose_and_are_timed_as_well_as_is_said() {
         for address in 1..=COUNT {
             let at = device * usize::from(COUNT) + usize::from(address) - 1;
             let hit = lost.get(&(device, address)).copied().unwrap_or(0);
-            let counted = status.sensors[at];
+            // What the pipeline calls lost is also what came and could not be published: the session counts the radio's.
+            let counted = mirrors[device].session.losses()[usize::from(address) - 1];
             // What is lost as the last thing before it leaves, or before the end, nobody can know.
             let name = &stage.sensors[at].name;
             assert!(
@@ -211,7 +212,7 @@ fn radios_lose_what_they_lose_and_are_timed_as_well_as_is_said() {
             all.len()
         );
         assert!(within_8_ms >= 0.95 && within_2_sigma >= 0.95, "{within_8_ms} {within_2_sigma}");
-        assert!(late_of_all < all.len() / 20, "{late_of_all} late");
+        assert!(late_of_all < all.len() / 10, "{late_of_all} late");
         let clock = status.devices[device].clock.expect("its clock is known");
         assert!((1e-3..2e-2).contains(&clock.sigma_t_s), "{}", clock.sigma_t_s);
     }

@@ -298,11 +298,12 @@ impl RadioClock {
         });
         let least_s = under(drift);
         let count = blocks().count() as f64;
-        let excess_s = blocks().map(|block| offset_s(block, drift) - least_s).sum::<f64>();
-        let mean_s = (excess_s + EXCESS_BLOCKS * EXCESS_S) / (count + EXCESS_BLOCKS);
-        // The fastest of n is later than the fastest possible by an n-th of what each is, as a rule.
-        let still_late_s = mean_s / count;
-        let fastest_sigma_s = DEPENDENT * still_late_s;
+        let excess_s = blocks().map(|block| offset_s(block, drift) - least_s).sum::<f64>() / count;
+        let expected_s = (count * excess_s + EXCESS_BLOCKS * EXCESS_S) / (count + EXCESS_BLOCKS);
+        // The fastest of n is later than the fastest possible by an n-th of what each is where something undelayed is usual, and by as much
+        // as each where nothing is: half of it is taken, and may be wrong by half.
+        let still_late_s = 0.5 * excess_s + expected_s / count;
+        let fastest_sigma_s = libm::hypot(0.5 * expected_s, DEPENDENT * expected_s / count);
         let drift_sigma =
             if knows_drift { (2.0 * fastest_sigma_s / span_s.max(BLOCK_S)).min(most) } else { USUAL_DRIFT };
         Some(Line { at_s, offset_s: least_s - still_late_s, drift, drift_sigma, fastest_sigma_s })
