@@ -83,6 +83,7 @@ use self::link::Link;
 use self::models::{Library, Loaded};
 use self::observers::Observers;
 use self::ports::{DevicePort, PortTask};
+use self::server::phones::{Gate, PhonePlace, PhoneSocket, Phones};
 use self::server::{BindError, Server, Sides};
 use self::service::Service;
 use self::stages::Editor;
@@ -171,6 +172,8 @@ pub struct Daemon {
     service: Service,
     inbox: FusionInbox,
     ports: Vec<Option<PortTask>>,
+    /// Where what comes over the websocket `/imu` meets the port of its device.
+    gate: Option<Gate>,
     fusion: std::thread::JoinHandle<()>,
     /// Dropped at the end.
     link: Option<Box<dyn Any + Send>>,
@@ -193,8 +196,11 @@ impl Daemon {
         let places: Vec<_> = (0..).map_while(|index| DevicePort::of(&options.stage, index)).collect();
         let mut daemon = Self::begin(options, place)?;
         for (place, port) in places.into_iter().zip(&mut daemon.ports) {
-            if let Some(task) = port.take() {
-                daemon.service.spawn(format!("the port of {}", place.device()), task.keep_open(place));
+            let Some(task) = port.take() else { continue };
+            let part = format!("the port of {}", place.device());
+            match daemon.gate.clone().filter(|_| place.is_websocket()) {
+                Some(gate) => daemon.service.spawn(part, task.lead_websocket(gate)),
+                None => daemon.service.spawn(part, task.keep_open(place)),
             }
         }
         Ok(daemon)
@@ -244,8 +250,16 @@ impl Daemon {
         }
         let library = TakeLibrary::start(recordings.clone()).map_err(StartError::Thread)?;
         let shelf = playback::Recordings::new(recordings.clone(), library.clone());
-        let sides = Sides { feed, shelf: Some(Arc::new(shelf)), files: Some(recordings.clone()) };
+        let phones = PhonePlace { data: data.clone(), socket: place.phones, clock };
+        let sides = Sides {
+            feed,
+            shelf: Some(Arc::new(shelf)),
+            files: Some(recordings.clone()),
+            phones: Some(phones),
+        };
         let (server, hub, pending) = Server::bind_with(&stage, config, sides)?;
+        let phones = server.phones();
+        let gate = phones.as_ref().map(Phones::gate);
         let mut service = Service::start(server);
         let jobs = Jobs::new(clock, hub.clone());
 
@@ -315,11 +329,11 @@ impl Daemon {
         let services =
             Services { clock, inbox: inbox.clone(), jobs, calibration, training, library, history };
         let calls = Calls::new(&stage, data, services);
-        let calls = calls.on_file(stage_toml, place.editor);
+        let calls = calls.on_file(stage_toml, place.editor).with_phones(phones);
         let calls = calls.run(pending, service.down());
         service.spawn("what answers requests", calls);
         service.spawn("what looks at the disk", disk.watch(recordings, service.down()));
-        Ok(Self { clock, service, inbox, ports, fusion, link: session })
+        Ok(Self { clock, service, inbox, ports, gate, fusion, link: session })
     }
 
     /// Gives a device (index in the stage's list) an open stream instead of its port; it is not opened again when it ends. Does
@@ -396,6 +410,8 @@ impl Daemon {
 struct Place {
     /// An open socket to serve clients at.
     socket: Option<Arc<std::net::TcpListener>>,
+    /// Where phones come, once one is to.
+    phones: PhoneSocket,
     /// The stage file, where clients may change it.
     editor: Option<Editor>,
     /// What went wrong before.

@@ -270,6 +270,8 @@ impl Player {
             | Call::SetupRead { .. }
             | Call::SetupSave { .. }
             | Call::SetupFind { .. }
+            | Call::PhoneInvite {}
+            | Call::PhoneList {}
             | Call::HeadingReset { .. }
             | Call::StageAlign { .. }
             | Call::ImuCalibrate { .. }

@@ -17,6 +17,7 @@ use super::clock::StageClock;
 use super::fault_points;
 use super::find::{self, NotFound, OPEN_TIMEOUT};
 use super::fusion::FusionInbox;
+use super::server::phones::{Gate, Reader};
 use posed_stage::input::{DeviceIndex, Entry, Input};
 use posed_stage::{Device, PortAddress, Stage};
 
@@ -104,6 +105,11 @@ impl DevicePort {
         &self.device.name
     }
 
+    /// Whether what comes over the daemon's own websocket is for it.
+    pub(super) fn is_websocket(&self) -> bool {
+        self.device.port.parse() == Ok(PortAddress::Websocket)
+    }
+
     /// Opens the port, or finds it.
     async fn open(&self) -> Result<Port<Stream>, NotOpen> {
         let path = &self.device.port;
@@ -129,6 +135,23 @@ impl PortTask {
             );
             self.closed(FAULT.to_owned());
             tokio::time::sleep(RETRY).await;
+        }
+    }
+
+    /// Leads what comes over the daemon's own websocket to a device, until shutdown. The connections are the server's: nothing is opened.
+    pub(super) async fn lead_websocket(mut self, gate: Gate) {
+        let (device, clock, inbox) = (self.device, self.clock, self.inbox.clone());
+        gate.lead_to(Reader { device, clock, inbox });
+        loop {
+            tokio::select! {
+                () = ended(&mut self.shutdown) => return,
+                command = self.commands.recv() => match command {
+                    Some(PortCommand::Transmit(envelopes)) => gate.transmit(&envelopes),
+                    Some(PortCommand::SetRts(_)) => {}
+                    // Tracking has ended: as at any port.
+                    None => return ended(&mut self.shutdown).await,
+                },
+            }
         }
     }
 

@@ -18,6 +18,7 @@ use tokio::task::JoinHandle;
 
 use super::clock::StageClock;
 use super::server;
+use super::server::phones::PhoneSocket;
 use super::vital::PartEnded;
 use super::{Daemon, Options, Place, StartError};
 use posed_protocol::{Problem, Status};
@@ -126,6 +127,7 @@ impl Stages {
         let (changed, changes) = mpsc::channel(1);
         let place = Place {
             socket: Some(Arc::clone(&socket.listener)),
+            phones: PhoneSocket::default(),
             editor: Some(Editor { file, changed }),
             problems: Vec::new(),
         };
@@ -189,6 +191,7 @@ impl Running {
                     _ = &mut stop => {
                         // Who connects now is refused.
                         self.place.socket = None;
+                        self.place.phones = PhoneSocket::default();
                         return daemon.shutdown().await;
                     }
                     Some(changed) = self.changes.recv() => break changed,

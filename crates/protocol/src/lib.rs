@@ -49,14 +49,15 @@ pub use message::{
     Answer, Begun, Change, Contacts, Data, Demonstration, Deviation, DeviceStatus, Digest, DigestCounts,
     DigestKeyPose, DigestMark, DigestRepetition, Digested, ErrorReply, ExerciseChange, ExerciseEvent,
     Exercises, Fault, FaultChange, FaultSpan, FieldChange, FieldEvent, Figure, FigureSegment, Found,
-    FoundPort, FoundSensor, HeadingSource, HealthHistory, Hello, HelloBody, HelloSensor, Job, JobState, Jobs,
-    JointEntry, Judged, KeptExercise, KeptFile, KeyPose, LabelSpan, Labels, LearntEntry, LibraryTake,
-    LinkState, ListedSessions, Look, LookBody, LookSensor, MapVersion, Mark, Measured, OkReply, People,
-    Picture, PicturePath, PlanProgress, Plans, Problem, Quality, RecordingBegun, RecordingStatus, Recordings,
-    RelatedClock, Removed, Renamed, ReplayStatus, Report, Resumed, RunningSession, ScrewMotion, SegmentBody,
-    SegmentEntry, SegmentSpan, SensorEntry, SensorHistory, SensorStatus, Sensors, ServerMessage,
-    SessionBegun, Sessions, Setup, SetupBody, SetupDevice, SetupProblem, SetupSensor, Shown, Sole, Spoken,
-    StageEntry, StageLatency, StagePresence, Stages, Started, Status, Takes, Tracked, TruthEntry, Truths,
+    FoundPort, FoundSensor, HeadingSource, HealthHistory, Hello, HelloBody, HelloSensor, Invitation, Job,
+    JobState, Jobs, JointEntry, Judged, KeptExercise, KeptFile, KeyPose, LabelSpan, Labels, LearntEntry,
+    LibraryTake, LinkState, ListedSessions, Look, LookBody, LookSensor, MapVersion, Mark, Measured, OkReply,
+    People, Phone, Phones, Picture, PicturePath, PlanProgress, Plans, Problem, QrCode, Quality,
+    RecordingBegun, RecordingStatus, Recordings, RelatedClock, Removed, Renamed, ReplayStatus, Report,
+    Resumed, RunningSession, ScrewMotion, SegmentBody, SegmentEntry, SegmentSpan, SensorEntry, SensorHistory,
+    SensorStatus, Sensors, ServerMessage, SessionBegun, Sessions, Setup, SetupBody, SetupDevice,
+    SetupProblem, SetupSensor, Shown, Sole, Spoken, StageEntry, StageLatency, StagePresence, Stages, Started,
+    Status, Takes, Tracked, TruthEntry, Truths,
 };
 pub use names::Names;
 pub use packed::{unpack, unpacker};

@@ -312,7 +312,7 @@ pub struct Device {
     /// Unique name.
     #[schemars(length(min = 1, max = 64))]
     pub name: String,
-    /// Path of a serial port, `tcp://HOST:PORT`, `udp://HOST:PORT` or `auto`.
+    /// Path of a serial port, `tcp://HOST:PORT`, `udp://HOST:PORT`, `auto`, or `websocket` for devices that connect to `/imu`.
     pub port: String,
     /// UDP port of this computer that the device sends to, for `udp://HOST:PORT`; absent: any.
     #[schemars(range(min = 1))]

@@ -12,6 +12,7 @@ mod exercise;
 mod faults;
 mod guided;
 mod imu;
+mod phone;
 mod segments;
 mod setup;
 
@@ -31,6 +32,7 @@ use super::models::{self, Library};
 use super::observers::Kept;
 use super::ports::ended;
 use super::recordings;
+use super::server::phones::Phones;
 use super::server::{PendingCall, Refusal, Reply};
 use super::stages::Editor;
 use super::track;
@@ -62,6 +64,8 @@ pub(super) struct Calls {
     library: TakeLibrary,
     history: Kept,
     file: setup::File,
+    /// `None` where phones cannot come.
+    phones: Option<Phones>,
 }
 
 /// What carries calls out.
@@ -100,7 +104,13 @@ impl Calls {
             library,
             history,
             file: setup::File::default(),
+            phones: None,
         }
+    }
+
+    /// The same where phones can come.
+    pub(super) fn with_phones(self, phones: Option<Phones>) -> Self {
+        Self { phones, ..self }
     }
 
     /// The same for the stage file of this text, which clients may change where there is an `editor`.
@@ -259,6 +269,8 @@ impl Calls {
                 reply.answer(self.save_setup(&changes, &revision).map(|()| None));
             }
             Call::SetupFind { port } => self.find_ports(port, reply),
+            Call::PhoneInvite {} => reply.answer(self.invite_phone()),
+            Call::PhoneList {} => reply.answer(self.list_phones()),
             Call::JobCancel { job } => match self.jobs.cancel(job) {
                 Ok(()) => {
                     self.inbox.command(Command::LookAtJobs);
@@ -353,6 +365,8 @@ fn is_slow(call: &Call) -> bool {
             | Call::SessionDeletePlan { .. }
             | Call::SetupRead { .. }
             | Call::SetupSave { .. }
+            | Call::PhoneInvite {}
+            | Call::PhoneList {}
     )
 }
 

@@ -40,7 +40,7 @@ impl File {
     }
 
     /// What stands in the file now.
-    fn read(&self) -> Result<String, Refusal> {
+    pub(super) fn read(&self) -> Result<String, Refusal> {
         let Some(Editor { file, .. }) = &self.editor else { return Ok(self.text.clone()) };
         std::fs::read_to_string(&file.path)
             .map_err(|error| Refusal::failed(format!("cannot read {}: {error}", file.path.display())))

@@ -6,7 +6,7 @@ use axum::http::uri::{Authority, Uri};
 use axum::http::{HeaderMap, StatusCode, header};
 use subtle::{Choice, ConstantTimeEq};
 
-use posed_stage::{Role, Token};
+use posed_stage::{Role, Secret, Token};
 
 /// The rules of one server.
 #[derive(Clone, Debug)]
@@ -29,13 +29,33 @@ impl Access {
         if self.tokens.is_empty() {
             return Ok(Role::Operate);
         }
-        let bearer = headers
-            .get(header::AUTHORIZATION)
-            .and_then(|value| value.to_str().ok())
-            .and_then(|value| value.split_once(' '))
-            .filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"))
-            .map(|(_, token)| token.trim().to_owned());
-        let Some(given) = bearer.or_else(|| query_token(uri)) else {
+        match self.role_of_token(headers, uri)? {
+            Role::Sensor => {
+                let message = "this token is for sensors: it may send to /imu, and nothing else";
+                Err((StatusCode::FORBIDDEN, message.into()))
+            }
+            role => Ok(role),
+        }
+    }
+
+    /// Whether the bearer of this request may send measurements, where a token is asked for.
+    pub(super) fn may_send(&self, headers: &HeaderMap, uri: &Uri) -> Result<(), Refusal> {
+        match self.role_of_token(headers, uri)? {
+            Role::Sensor | Role::Operate => Ok(()),
+            Role::Watch => {
+                let message = "this token may watch; a sensor needs one with the role `sensor`";
+                Err((StatusCode::FORBIDDEN, message.into()))
+            }
+        }
+    }
+
+    /// Whether the request has this token.
+    pub(super) fn is_given(headers: &HeaderMap, uri: &Uri, token: &Secret) -> bool {
+        given(headers, uri).is_some_and(|given| bool::from(token.reveal().as_bytes().ct_eq(given.as_bytes())))
+    }
+
+    fn role_of_token(&self, headers: &HeaderMap, uri: &Uri) -> Result<Role, Refusal> {
+        let Some(given) = given(headers, uri) else {
             let message = "this daemon asks for a token: `Authorization: Bearer TOKEN`, or `?token=TOKEN` in the address";
             return Err((StatusCode::UNAUTHORIZED, message.into()));
         };
@@ -91,6 +111,14 @@ impl Access {
         Err((StatusCode::FORBIDDEN, message))
     }
 
+    /// The same for what sends measurements: a page without an origin (an app's, a file's) may, where it brings a token.
+    pub(super) fn check_origin_of_sensor(&self, headers: &HeaderMap, has_token: bool) -> Result<(), Refusal> {
+        match headers.get(header::ORIGIN) {
+            Some(origin) if has_token && origin == "null" => Ok(()),
+            _ => self.check_origin(headers),
+        }
+    }
+
     /// Our own page, however this machine was named, or another name of this machine's loopback.
     fn is_own(&self, origin: &Origin<'_>, headers: &HeaderMap) -> bool {
         let scheme = if self.tls { "https" } else { "http" };
@@ -101,6 +129,17 @@ impl Access {
         origin.authority.eq_ignore_ascii_case(host)
             || origin.port == Some(self.port) && (is_localhost(origin.host) || is_loopback(origin.host))
     }
+}
+
+/// The token that a request brings.
+fn given(headers: &HeaderMap, uri: &Uri) -> Option<String> {
+    let bearer = headers
+        .get(header::AUTHORIZATION)
+        .and_then(|value| value.to_str().ok())
+        .and_then(|value| value.split_once(' '))
+        .filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"))
+        .map(|(_, token)| token.trim().to_owned());
+    bearer.or_else(|| query_token(uri))
 }
 
 /// An `Origin` header taken apart: `scheme://host[:port]`, nothing behind.
@@ -141,9 +180,10 @@ fn is_loopback(host: &str) -> bool {
     address(host).is_some_and(|address| address.is_loopback())
 }
 
-/// `token` of the query, percent-decoded.
+/// `token` of the query, percent-decoded; `k`, as devices of the open format write it, says the same.
 fn query_token(uri: &Uri) -> Option<String> {
-    let token = uri.query()?.split('&').find_map(|pair| pair.strip_prefix("token="))?;
+    let of_key = |key: &str| uri.query()?.split('&').find_map(|pair| pair.strip_prefix(key));
+    let token = of_key("token=").or_else(|| of_key("k="))?;
     let mut bytes = token.bytes();
     let mut decoded = Vec::with_capacity(token.len());
     while let Some(byte) = bytes.next() {
@@ -201,6 +241,30 @@ mod tests {
         for wrong in ["", "watch-watch-watc", "watch-watch-watch2", "%", "%2", "%zz"] {
             assert_eq!(role(&closed, None, &format!("/ws?token={wrong}")), Err(StatusCode::UNAUTHORIZED));
         }
+    }
+
+    #[test]
+    fn a_token_for_sensors_sends_and_opens_nothing_else() {
+        let access = access(&[
+            ("sensor-sensor-sensor", Role::Sensor),
+            ("watch-watch-watch", Role::Watch),
+            ("operate-operate", Role::Operate),
+        ]);
+        let sends = |token: &str| {
+            let uri = format!("/imu?k={token}").parse().unwrap();
+            access.may_send(&HeaderMap::new(), &uri).map_err(|(status, _)| status)
+        };
+        assert_eq!(role(&access, Some("Bearer sensor-sensor-sensor"), "/ws"), Err(StatusCode::FORBIDDEN));
+        assert_eq!((sends("sensor-sensor-sensor"), sends("operate-operate")), (Ok(()), Ok(())));
+        assert_eq!(sends("watch-watch-watch"), Err(StatusCode::FORBIDDEN));
+        assert_eq!(sends("another"), Err(StatusCode::UNAUTHORIZED));
+        let own = Secret::from("own-own-own-own-own".to_owned());
+        let given = |uri: &str| Access::is_given(&HeaderMap::new(), &uri.parse().unwrap(), &own);
+        assert!(given("/imu?k=own-own-own-own-own") && !given("/imu?k=own-own-own-own-ow") && !given("/imu"));
+        let of = |origin: &str| headers(&[(header::HOST, "127.0.0.1:8787"), (header::ORIGIN, origin)]);
+        assert!(access.check_origin_of_sensor(&of("null"), true).is_ok());
+        assert!(access.check_origin_of_sensor(&of("null"), false).is_err());
+        assert!(access.check_origin_of_sensor(&of("http://evil.example"), true).is_err());
     }
 
     #[test]

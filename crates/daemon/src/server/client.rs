@@ -23,7 +23,7 @@ const GOODBYE: Duration = Duration::from_secs(1);
 const PACE: Duration = Duration::from_millis(5);
 
 /// Why a connection ends.
-enum End {
+pub(super) enum End {
     /// We close it.
     Close(Close),
     /// The other side has closed it, or it broke.
@@ -177,7 +177,7 @@ fn message(form: Form, bytes: Vec<u8>) -> Result<Message, End> {
 }
 
 /// The closing handshake: our reason, then what was still under way from the other side, up to its own close.
-async fn goodbye(socket: &mut WebSocket, Close { code, reason }: Close) {
+pub(super) async fn goodbye(socket: &mut WebSocket, Close { code, reason }: Close) {
     let frame = CloseFrame { code, reason: reason.into() };
     let closing = async {
         socket.send(Message::Close(Some(frame))).await?;
@@ -192,7 +192,7 @@ async fn goodbye(socket: &mut WebSocket, Close { code, reason }: Close) {
 }
 
 /// Waits for a write, but not for a client that has stopped reading for ever, and not past the shutdown.
-async fn patiently(
+pub(super) async fn patiently(
     context: &ConnectionContext,
     write: impl Future<Output = Result<(), axum::Error>>,
 ) -> Result<(), End> {
@@ -214,7 +214,7 @@ async fn ended(shutdown: &mut watch::Receiver<bool>) {
     let _ = shutdown.wait_for(|ends| *ends).await;
 }
 
-fn end_of(error: axum::Error) -> End {
+pub(super) fn end_of(error: axum::Error) -> End {
     match error.into_inner().downcast::<tungstenite::Error>().map(|error| *error) {
         Ok(tungstenite::Error::Capacity(_)) => End::Close(Close::TOO_LARGE),
         Ok(tungstenite::Error::Utf8(_)) => {

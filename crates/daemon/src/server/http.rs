@@ -1,4 +1,4 @@
-//! What can be asked over HTTP: the page, `/ws` (and Foxglove's websocket at `/` too), `/metrics`, `/health`, `/takes`, `/recordings`, `/exports`; and who is refused before that.
+//! What can be asked over HTTP: the page, `/phone` and `/imu`, `/ws` (and Foxglove's websocket at `/` too), `/metrics`, `/health`, `/takes`, `/recordings`, `/exports`; and who is refused before that.
 
 use std::sync::Arc;
 
@@ -16,6 +16,7 @@ use super::files::Files;
 use super::foxglove::Viewer;
 use super::listen::ConnectionContext;
 use super::metrics::Metrics;
+use super::phones::{self, Phones, TokenIs};
 use super::requests::Requests;
 use super::slots::{NoSlot, Slot};
 use super::takes::Takes;
@@ -30,8 +31,13 @@ const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; \
     style-src 'self' 'sha256-vJCJIUwHF6Fgs6eoxQVnJGR4PcyaPSUgJ/2tmH39GeE='; connect-src 'self'; \
     img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// What one stage answers, with `takes` the recordings beside it, and with `files` those as files.
-pub(super) fn router(shared: Arc<Shared>, takes: Option<Takes>, files: Option<Files>) -> Router {
+/// What one stage answers, with `takes` the recordings beside it, with `files` those as files, and with `phones` what phones ask for.
+pub(super) fn router(
+    shared: Arc<Shared>,
+    takes: Option<Takes>,
+    files: Option<Files>,
+    phones: Option<Phones>,
+) -> Router {
     let context = Arc::clone(&shared.context);
     let routes = Router::new()
         .route("/", get(root))
@@ -42,6 +48,8 @@ pub(super) fn router(shared: Arc<Shared>, takes: Option<Takes>, files: Option<Fi
         .with_state(shared)
         .merge(takes.map(Takes::routes).unwrap_or_default())
         .merge(files.map(Files::routes).unwrap_or_default());
+    let of_phones = |phones| phones::routes(phones, &context, TokenIs::AsInTheStage);
+    let routes = routes.merge(phones.map(of_phones).unwrap_or_default());
     guarded(routes, context)
 }
 

@@ -55,6 +55,11 @@ impl MakesWay {
 }
 
 impl ConnectionContext {
+    /// The same for connections that come another way.
+    pub(super) fn with_access(&self, access: Access) -> Self {
+        Self { access, ..self.until(self.shutdown.clone()) }
+    }
+
     /// The same for connections that end by a word of their own.
     pub(super) fn until(&self, shutdown: watch::Receiver<bool>) -> Self {
         let Self { access, limits, metrics, slots, outboxes, shutdown: _, makes_way } = self;
@@ -75,10 +80,14 @@ pub(super) fn seconds(s: f64) -> Duration {
     Duration::from_secs_f64(s)
 }
 
-/// Accepts connections for ever.
+/// Where a connection comes from.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Peer(pub(super) SocketAddr);
+
+/// Accepts connections for ever; `tls` gives what serves them as they come, where it is over TLS.
 pub(super) async fn accept(
     listener: &TcpListener,
-    tls: Option<&TlsAcceptor>,
+    tls: impl Fn() -> Option<TlsAcceptor>,
     context: &Arc<ConnectionContext>,
     app: axum::Router,
 ) {
@@ -91,9 +100,9 @@ pub(super) async fn accept(
             tokio::task::yield_now().await;
             continue;
         };
-        let app = app.clone().layer(Extension(Arc::clone(&slot)));
+        let app = app.clone().layer(Extension(Arc::clone(&slot))).layer(Extension(Peer(address)));
         let context = Arc::clone(context);
-        let tls = tls.cloned();
+        let tls = tls();
         tokio::spawn(async move {
             let served = async {
                 match tls {

@@ -86,7 +86,7 @@ impl Listener {
     pub(super) async fn serve(self, app: axum::Router, shutdown: impl Future<Output = ()>) {
         let Self { listener, tls, report, context, .. } = self;
         tokio::select! {
-            () = listen::accept(&listener, tls.as_ref(), &context, app) => {}
+            () = listen::accept(&listener, || tls.clone(), &context, app) => {}
             () = shutdown => {}
         }
         drop(listener);
@@ -129,7 +129,7 @@ fn addresses(
     Ok((listen, addresses))
 }
 
-fn share(socket: &std::net::TcpListener) -> std::io::Result<(TcpListener, SocketAddr)> {
+pub(super) fn share(socket: &std::net::TcpListener) -> std::io::Result<(TcpListener, SocketAddr)> {
     let listener = TcpListener::from_std(socket.try_clone()?)?;
     let address = listener.local_addr()?;
     Ok((listener, address))

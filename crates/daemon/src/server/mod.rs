@@ -26,6 +26,7 @@ mod listen;
 mod listener;
 mod metrics;
 mod outbox;
+pub(crate) mod phones;
 mod reports;
 mod requests;
 mod slots;
@@ -49,6 +50,7 @@ use self::foxglove::Viewers;
 use self::listen::ConnectionContext;
 use self::listener::Listener;
 use self::metrics::Metrics;
+use self::phones::{PhonePlace, Phones};
 use self::reports::Reports;
 use self::streams::Streaming;
 use self::takes::Takes;
@@ -70,6 +72,7 @@ pub use self::hub::{Hub, Item};
 pub use self::hub_server::{HubServer, StageEndpoint, StageRegistry};
 pub(crate) use self::listen::MakesWay;
 pub(crate) use self::listener::socket;
+pub use self::phones::CertificateError;
 pub use self::requests::{PendingCall, Refusal, Reply};
 pub(crate) use self::takes::{LetGo, Shelf, Take, TakeError};
 pub use self::tls::TlsError;
@@ -190,6 +193,8 @@ pub(super) struct Sides {
     pub(super) shelf: Option<Arc<dyn Shelf>>,
     /// Folder whose recordings and exports clients may fetch.
     pub(super) files: Option<PathBuf>,
+    /// What phones need that come as sensors.
+    pub(super) phones: Option<PhonePlace>,
 }
 
 /// A server that is bound and not yet running.
@@ -202,6 +207,7 @@ pub struct Server {
     commands: mpsc::Receiver<Command>,
     takes: Option<Takes>,
     files: Option<Files>,
+    phones: Option<Phones>,
 }
 
 /// What every connection to a stage needs.
@@ -324,12 +330,17 @@ impl Server {
         let lsl = stage.lsl.as_ref().zip(config.clock.filter(|_| !config.replay));
         let lsl = lsl.map(|(settings, clock)| Streaming::start(stage, settings, clock, Arc::clone(&metrics)));
         let distributor = Distributor::new(Arc::clone(&shared.names), limits, metrics, config.counters);
-        let Sides { feed, shelf, files } = sides;
+        let Sides { feed, shelf, files, phones } = sides;
+        let phones = phones.map(|place| Phones::new(stage, place, config.folder, &listener.context));
+        if let Some(phones) = &phones {
+            phones.hear_from(shared.reports.newest());
+        }
         let files = files.map(|folder| Files::new(folder, &listener.context));
         let takes = shelf.map(|shelf| Takes::new(shelf, &listener.context));
-        let outlets = Outlets { distributor, viewers, vrpn: vrpn_outlet, datagrams, lsl, feed };
+        let outlets =
+            Outlets { distributor, viewers, vrpn: vrpn_outlet, datagrams, lsl, feed, phones: phones.clone() };
         let hub_in = hub.clone();
-        let server = Self { listener, shared, outlets, vrpn, hub: hub_in, commands, takes, files };
+        let server = Self { listener, shared, outlets, vrpn, hub: hub_in, commands, takes, files, phones };
         Ok((server, hub, calls))
     }
 
@@ -353,6 +364,11 @@ impl Server {
         self.listener.context.makes_way.clone()
     }
 
+    /// What serves phones; `None` for a replay.
+    pub(super) fn phones(&self) -> Option<Phones> {
+        self.phones.clone()
+    }
+
     /// The newest status that clients have been sent.
     pub(super) fn status(&self) -> watch::Receiver<Status> {
         self.shared.reports.newest()
@@ -361,12 +377,15 @@ impl Server {
     /// Serves until `shutdown` resolves; then tells every client goodbye (1001) and returns within the shutdown timeout. A part
     /// that ends before is reported by `vital`.
     pub async fn run(self, shutdown: impl Future<Output = ()>, vital: Vital) {
-        let Self { listener, shared, outlets, vrpn, hub, commands, takes, files } = self;
+        let Self { listener, shared, outlets, vrpn, hub, commands, takes, files, phones } = self;
+        if let Some(phones) = &phones {
+            phones.open_if_read();
+        }
         let distributing = distribute(outlets, hub, commands, Arc::clone(&shared));
         let distributing = tokio::spawn(vital.task("what sends to clients", distributing));
         let others = vrpn.map(|vrpn| vital.task("what serves VRPN", vrpn.run(listener.report.subscribe())));
         let others = others.map(tokio::spawn);
-        listener.serve(http::router(shared, takes, files), shutdown).await;
+        listener.serve(http::router(shared, takes, files, phones), shutdown).await;
         distributing.abort();
         // What it holds has then ended too.
         let _ = distributing.await;
@@ -470,6 +489,7 @@ struct Outlets {
     lsl: Option<Streaming>,
     /// Programs on other machines.
     feed: Option<Box<dyn Feed>>,
+    phones: Option<Phones>,
 }
 
 /// Feeds the outlets, one thing at a time; frames before commands.
@@ -480,7 +500,7 @@ async fn distribute(
     shared: Arc<Shared>,
 ) {
     use std::sync::atomic::Ordering;
-    let Outlets { distributor, viewers, vrpn, datagrams, lsl, feed } = &mut outlets;
+    let Outlets { distributor, viewers, vrpn, datagrams, lsl, feed, phones } = &mut outlets;
     loop {
         while let Some(mut item) = hub.take() {
             let _ = fault_points::pass("distributor");
@@ -492,6 +512,7 @@ async fn distribute(
                 status.problems.extend(lsl.as_ref().and_then(Streaming::problem));
                 status.problems.extend_from_slice(&shared.problems);
                 status.problems.extend(feed.as_ref().and_then(|feed| feed.problem()));
+                status.problems.extend(phones.as_ref().and_then(Phones::problem));
                 shared.metrics.take(status);
             }
             let stamp = distributor.stamp(&item);

@@ -177,8 +177,15 @@ impl Takes {
         play(hub.clone(), calls, down.clone())?;
         let limits = context.limits.clone();
         let distributor = Distributor::new(Arc::clone(&shared.names), limits, own, Counters::default());
-        let outlets =
-            Outlets { distributor, viewers, vrpn: None, datagrams: Vec::new(), lsl: None, feed: None };
+        let outlets = Outlets {
+            distributor,
+            viewers,
+            vrpn: None,
+            datagrams: Vec::new(),
+            lsl: None,
+            feed: None,
+            phones: None,
+        };
         let distributing = distribute(outlets, hub, commands, Arc::clone(&shared));
         let mut until = down;
         tokio::spawn(async move {

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Digested, HealthHistory, Labels, Look, Removed, Renamed, Setup, Takes};
+use super::{Digested, HealthHistory, Invitation, Labels, Look, Phones, Removed, Renamed, Setup, Takes};
 use posed_sessions::{Forgotten, Person, Plan, SessionId, SessionSummary};
 
 /// What a request was answered with; which one gets which: [`Answers`]. All others are answered with `ok` alone.
@@ -42,6 +42,10 @@ pub enum Answer {
     MapVersion(MapVersion),
     /// To `setup.read`.
     Setup(Box<Setup>),
+    /// To `phone.invite`.
+    Invitation(Invitation),
+    /// To `phone.list`.
+    Phones(Phones),
     /// To `faults.name_cell`.
     KeptFile(KeptFile),
     /// To `session.begin`.
@@ -273,6 +277,10 @@ pub(crate) struct Answers {
     setup_read: Setup,
     #[serde(rename = "setup.find")]
     setup_find: Started,
+    #[serde(rename = "phone.invite")]
+    phone_invite: Invitation,
+    #[serde(rename = "phone.list")]
+    phone_list: Phones,
     #[serde(rename = "session.begin")]
     session_begin: SessionBegun,
     #[serde(rename = "session.list")]

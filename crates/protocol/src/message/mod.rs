@@ -14,6 +14,7 @@ mod jobs;
 mod keyframes;
 mod library;
 mod marks;
+mod phones;
 mod reply;
 mod segments;
 mod sensors;
@@ -45,6 +46,7 @@ pub use self::library::{
     Takes,
 };
 pub use self::marks::Mark;
+pub use self::phones::{Invitation, Phone, Phones, QrCode};
 pub use self::reply::{ErrorReply, OkReply};
 pub use self::segments::SegmentBody;
 pub use self::sensors::{Change, Measured, Quality, SensorEntry, Sensors};

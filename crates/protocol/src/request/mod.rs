@@ -486,6 +486,13 @@ pub enum Call {
         #[serde(default)]
         port: Option<String>,
     },
+    /// Lets phones come as sensors, and says how: an address with a token that allows only this, as a text and as a QR code. The daemon
+    /// listens there from then on.
+    #[serde(rename = "phone.invite")]
+    PhoneInvite {},
+    /// The phones and other devices that are connected to the websocket `/imu` just now.
+    #[serde(rename = "phone.list")]
+    PhoneList {},
     /// Cancels a job.
     #[serde(rename = "job.cancel")]
     JobCancel {

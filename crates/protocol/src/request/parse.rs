@@ -22,7 +22,7 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 51] = [
+const CALLS: [&str; 53] = [
     "record.start",
     "record.stop",
     "mark",
@@ -72,6 +72,8 @@ const CALLS: [&str; 51] = [
     "setup.read",
     "setup.save",
     "setup.find",
+    "phone.invite",
+    "phone.list",
     "job.cancel",
     "model.load",
 ];
@@ -147,7 +149,7 @@ fn shortened(text: &str) -> String {
 
 /// Requests of every kind, for tests and as seeds of the fuzz target.
 #[doc(hidden)]
-pub const REQUEST_EXAMPLES: [&str; 54] = [
+pub const REQUEST_EXAMPLES: [&str; 56] = [
     r#"{"type":"subscribe","id":1,"topics":["sensors"],"max_rate_hz":30,"sensors":["a"],"fields":["raw"],"drop":"queue"}"#,
     r#"{"type":"unsubscribe","id":"x","topics":["status","body"]}"#,
     r#"{"type":"resume","id":1,"after":7}"#,
@@ -201,6 +203,8 @@ pub const REQUEST_EXAMPLES: [&str; 54] = [
     r#"{"type":"setup.read","id":1,"changes":[{"change":"set","table":"sensor","name":"a","key":"segment","value":"head"}]}"#,
     r#"{"type":"setup.save","id":1,"changes":[{"change":"name_stage","name":"hall"}],"revision":"a1"}"#,
     r#"{"type":"setup.find","id":1,"port":"tcp://10.0.0.7:7000"}"#,
+    r#"{"type":"phone.invite","id":1}"#,
+    r#"{"type":"phone.list","id":1}"#,
     r#"{"type":"model.load","id":1,"model":{"kind":"transmitter","position_m":[0,0,1],"orientation_wxyz":[1,0,0,0]}}"#,
 ];
 
