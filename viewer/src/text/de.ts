@@ -257,6 +257,15 @@ export const de: Text = {
       calibrate: { good: "Was kalibriert sein muss, ist es.", care: "Eine Kalibrierung fehlt.", bad: "Eine Kalibrierung fehlt.", open: "Noch gibt es nichts zu kalibrieren." },
     },
   },
+  phones: {
+    title: "Telefone", help: "Auch ein Telefon ist ein Sensor: Es öffnet eine Seite, und seine Bewegung kommt über das Netz. Installiert wird nichts.", add: "Telefon hinzufügen",
+    qr: "QR-Code mit der Adresse für das Telefon", scan: "Mit der Kamera des Telefons scannen; es muss im selben Netz sein.",
+    warning: "Der Browser warnt vor einem Zertifikat, das er nicht kennt: Es ist das eigene dieser Stage. Weitergehen, oder dem Telefon auf Dauer Vertrauen beibringen.", press: "Auf dem Telefon Start drücken.",
+    byHand: "Ohne Kamera: Adressen", secret: "Die Adresse lässt ein Telefon als Sensor senden, und sonst nichts. Gehört jemandes Telefon nicht hierher, braucht er sie nicht.",
+    fingerprint: (name) => `Das Zertifikat heißt ${name}; sein SHA-256-Fingerabdruck ist`,
+    connected: "Verbundene Telefone", none: "Noch kein Telefon ist verbunden.", held: (name) => `${name}, wie es gerade gehalten wird`, notHeld: (name) => `${name} sagt nicht, wie es gehalten wird`,
+    isSensor: (name) => `ist der Sensor ${name}`, name: "Name", where: "Sitzt an", nowhere: "keinem Segment", use: "Verwenden", useNamed: (name) => `${name} als Sensor verwenden`,
+  },
   hub: {
     title: "posed-Hub", none: "Noch keine Stage: Jede erscheint, sobald sie sich verbunden hat.", token: "Dieser Hub verlangt ein Token",
     head: ["Stage", "Zustand", "Geräte", "Bilder/s", "Uhr gegen die des Hubs", "Was nicht stimmt"],

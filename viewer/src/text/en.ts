@@ -262,6 +262,15 @@ export const en = {
       calibrate: { good: "What has to be calibrated is.", care: "A calibration is missing.", bad: "A calibration is missing.", open: "There is nothing to calibrate yet." },
     },
   },
+  phones: {
+    title: "Phones", help: "A phone is a sensor, too: it opens a page, and its motion comes over the network. Nothing is installed.", add: "Add a phone",
+    qr: "QR code with the address for the phone", scan: "Scan this with the phone's camera; it has to be in the same network.",
+    warning: "The browser warns of a certificate that it does not know: it is this stage's own. Go on, or have the phone trust it for good.", press: "Press Start on the phone.",
+    byHand: "Without a camera: addresses", secret: "The address lets a phone send as a sensor, and do nothing else. Give it to nobody whose phone does not belong here.",
+    fingerprint: (name: string) => `The certificate is called ${name}; its SHA-256 fingerprint is`,
+    connected: "Phones that are connected", none: "No phone is connected yet.", held: (name: string) => `${name}, as it is held now`, notHeld: (name: string) => `${name} does not say how it is held`,
+    isSensor: (name: string) => `is the sensor ${name}`, name: "Name", where: "Sits on", nowhere: "no segment", use: "Use it", useNamed: (name: string) => `Use ${name} as a sensor`,
+  },
   hub: {
     title: "posed hub", none: "No stage yet: each shows as soon as it has connected.", token: "This hub asks for a token",
     head: ["Stage", "State", "Devices", "Frames/s", "Clock against the hub's", "What is wrong"],
