@@ -1,6 +1,6 @@
 // Was der Daemon auf Englisch sagt, auf Deutsch: Probleme nach ihrem Code, Haltungen und Bewegungen, um die eine Kalibrierung bittet, einzelne Wörter.
 
-import type { Problem } from "../../../docs/schema/posed.v1";
+import type { Problem } from "../../../clients/typescript/src/posed.v1";
 
 type Values = Problem["values"];
 

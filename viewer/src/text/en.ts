@@ -1,6 +1,6 @@
 // All that the page says, in English. Another language is a file of the same type: what it lacks fails the build.
 
-import type { Problem } from "../../../docs/schema/posed.v1";
+import type { Problem } from "../../../clients/typescript/src/posed.v1";
 
 /** What a calibration of the body asks for: a pose or movement, the how-manieth, whose sensors are silent, why once more. */
 export type Asked = { asks: string | null; step: number; steps: number; silent: string; objection: string | null };

@@ -177,7 +177,7 @@ impl Phones {
     /// What keeps phones from coming, where one should.
     pub(super) fn problem(&self) -> Option<Problem> {
         match &*self.opened() {
-            Some(Err(message)) => Some(Problem { code: "phones".to_owned(), message: message.clone() }),
+            Some(Err(message)) => Some(Problem::new("phones", message.clone())),
             _ => None,
         }
     }
