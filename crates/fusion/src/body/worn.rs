@@ -5,7 +5,7 @@
 //!
 //! A joint has one acceleration, by whichever of its two segments' sensors it is asked: where both are carried to it they agree, if they sit on these segments. Every
 //! sensor of both arms (or legs) is held against the trunk as the upper segment of either side, and against every other as the lower one; each way of wearing them
-//! costs what its joints disagree by, and one is believed that is better than every other by far. Right and left differ by where they hang on the trunk, once it turns:
+//! costs what its joints disagree by, and one is believed that is better than every other by far, if every joint that it changes fits better by far. Right and left differ by where they hang on the trunk, once it turns:
 //! that place is estimated with the sensor's own, which nobody knows better than to some centimetres either. Elbows and knees bend one way: where all that bend do so
 //! backwards, the body faces the other way, which is how arms that were swapped make a T-pose look.
 
@@ -33,6 +33,9 @@ const FLOOR_M_S2: f64 = 0.5;
 const PLACE_M: f64 = 0.03;
 /// Logarithm of the odds from which there is no doubt.
 const SURE: f64 = 12.0;
+/// What a joint disagrees by (mean square) has to become so many times smaller. If its sensors are exchanged, the difference between how both limbs move is in it; where that
+/// is less than what is left of wrong places, lengths and skin, a movement does not show who is who, however often it is repeated: it is wrong in the same way each time.
+const FITS_BETTER: f64 = 2.0;
 /// An elbow or a knee is bent beyond this, rad; for so long at least it was seen to, s, and so many times longer than the other way.
 const BENT_RAD: f64 = 0.6;
 const BENT_S: f64 = 2.0;
@@ -193,20 +196,19 @@ impl Worn {
             .map(|(group, pair)| (group, pair, pair.costs(&group.joints_m(skeleton, mounts))));
         let bends = groups
             .each_ref()
-            .map(|(_, pair, costs)| pair.bends(fewest(costs, Order::displaced).unwrap_or(AS_SAID).limbs));
+            .map(|(_, pair, costs)| pair.bends(pair.likely(costs, AS_SAID).unwrap_or(AS_SAID).limbs));
         let count = |way: Bends| bends.iter().flatten().filter(|bends| **bends == way).count();
         let faces_back = count(Bends::Back) >= 2 && count(Bends::Fore) == 0;
         let mut taken_from: [usize; SEGMENTS] = std::array::from_fn(|index| index);
-        for (group, _, costs) in groups {
+        for (group, pair, costs) in groups {
             // What hangs on the right of somebody who faces the other way hangs on the left. A body was found to face the way in which its arms were raised.
-            let by_arms = group.trunk == BodySegment::Torso;
-            let order = match faces_back {
-                false => fewest(&costs, Order::displaced),
-                true if by_arms => fewest(&costs, Order::displaced).map(Order::other_way_round),
-                true => {
-                    fewest(&costs, |order| order.other_way_round().displaced()).map(Order::other_way_round)
-                }
+            let said = if faces_back && group.trunk == BodySegment::Pelvis {
+                AS_SAID.other_way_round()
+            } else {
+                AS_SAID
             };
+            let found = pair.likely(&costs, said);
+            let order = if faces_back { found.map(Order::other_way_round) } else { found };
             let Order { limbs, ends } = order.unwrap_or(AS_SAID);
             let segments = group.segments();
             for (segment, sensor) in segments.iter().zip(limbs) {
@@ -262,13 +264,13 @@ impl BodyFilter {
 }
 
 /// Of all orders that may be the right one, because none is better by far, that with the fewest sensors somewhere else; `None` where two have as few.
-fn fewest(costs: &[f64; ORDERS], displaced: impl Fn(Order) -> usize) -> Option<Order> {
+fn fewest(costs: &[f64; ORDERS], said: Order) -> Option<Order> {
     let best = costs.iter().copied().fold(f64::INFINITY, f64::min);
     let mut likely = Order::all().zip(costs).filter(|(_, cost)| **cost - best <= 2.0 * SURE);
     let (first, _) = likely.next()?;
-    let mut found = (displaced(first), Some(first));
+    let mut found = (first.displaced(said), Some(first));
     for (order, _) in likely {
-        let count = displaced(order);
+        let count = order.displaced(said);
         if count < found.0 {
             found = (count, Some(order));
         } else if count == found.0 {
@@ -306,10 +308,16 @@ impl Order {
     }
 
     /// How many sensors sit somewhere else than was said.
-    fn displaced(self) -> usize {
-        let elsewhere =
-            |sensors: &[usize]| sensors.iter().enumerate().filter(|(at, sensor)| at != *sensor).count();
-        elsewhere(&self.limbs) + elsewhere(&self.ends)
+    fn displaced(self, said: Self) -> usize {
+        let elsewhere = |sensors: &[usize], said: &[usize]| {
+            sensors.iter().zip(said).filter(|(sensor, said)| sensor != said).count()
+        };
+        elsewhere(&self.limbs, &said.limbs) + elsewhere(&self.ends, &said.ends)
+    }
+
+    /// The sensors on the upper, the lower and the last segment of one side.
+    fn meet(self, side: usize) -> [usize; 3] {
+        [self.limbs[2 * side], self.limbs[2 * side + 1], self.ends[side]]
     }
 
     /// With right and left exchanged.
@@ -404,6 +412,29 @@ impl Pair {
                 + apart(self.end[1][d][f], self.ends_s);
         }
         costs
+    }
+
+    /// The order that is likely the right one.
+    fn likely(&self, costs: &[f64; ORDERS], said: Order) -> Option<Order> {
+        fewest(costs, said).filter(|order| self.fits_better(*order, said))
+    }
+
+    /// Whether every lower and last joint at which other sensors meet than was said fits better by far with them. Limbs that are exchanged as a whole keep their joints:
+    /// where they hang says what they are.
+    fn fits_better(&self, order: Order, said: Order) -> bool {
+        let better = |found: f64, said: f64, seen_s: f64| {
+            let floor = FLOOR_M_S2 * FLOOR_M_S2 * seen_s;
+            said + floor > FITS_BETTER * (found + floor)
+        };
+        [0, 1].into_iter().all(|side| {
+            let (meet, met) = (order.meet(side), said.meet(side));
+            let old = |joint: usize| {
+                [0, 1].iter().any(|side| said.meet(*side)[joint..joint + 2] == meet[joint..joint + 2])
+            };
+            let ([a, b, c], [above, below, end]) = (meet, met);
+            (old(0) || better(self.lower[side][a][b], self.lower[side][above][below], self.seen_s))
+                && (old(1) || better(self.end[side][b][c], self.end[side][below][end], self.ends_s))
+        })
     }
 
     /// Which way the joints of both limbs bend, where the sensors sit in this order.

@@ -4,7 +4,9 @@ use posed_simulator::body::{Activity, Wearer, WearerSpec};
 
 use super::block::BlockKind;
 use super::calibrate::calibrate;
+use super::moving::Moving;
 use super::tests::{UNKNOWN, blocks, record, script, spec};
+use super::worn::{Verdict, Worn};
 use super::*;
 
 use BodySegment::{ForearmL, ForearmR, HandL, HandR, ShankL, ShankR, ThighL, ThighR, UpperArmL, UpperArmR};
@@ -76,4 +78,46 @@ fn whoever_wears_them_as_said_hears_nothing() {
         assert_eq!(said_s, None, "{activity:?}");
         assert!(worst_deg(&filter, &wearer, &[]) < 12.0);
     }
+}
+
+/// What trunk, legs and feet show that accelerate along one axis so, m/s²: right and left thigh and shank as one, then the feet.
+fn accelerating(legs_m_s2: [f64; 2], feet_m_s2: [f64; 2]) -> [Option<Moving>; SEGMENTS] {
+    let moving = |accel_m_s2: f64| Moving {
+        q_room_segment: UnitQuaternion::identity(),
+        angular_velocity_rad_s: Vector3::new(0.0, 0.6, 0.0),
+        accel_rad_s2: Vector3::zeros(),
+        specific_force_m_s2: Vector3::new(accel_m_s2, 0.0, 0.0),
+    };
+    let mut shown = [None; SEGMENTS];
+    let [right, left] = legs_m_s2;
+    let of = [(ThighR, right), (ShankR, right), (ThighL, left), (ShankL, left), (BodySegment::Pelvis, 0.0)];
+    let feet = [(BodySegment::FootR, feet_m_s2[0]), (BodySegment::FootL, feet_m_s2[1])];
+    for (segment, accel_m_s2) in of.into_iter().chain(feet) {
+        shown[segment.index()] = Some(moving(accel_m_s2));
+    }
+    shown
+}
+
+/// What is found after minutes in which legs and feet go to and fro so, m/s².
+fn found(legs_m_s2: [f64; 2], feet_m_s2: [f64; 2]) -> Option<Verdict> {
+    let mounts = [Some(SensorMount::exact(UnitQuaternion::identity(), Vector3::zeros())); SEGMENTS];
+    let skeleton = Skeleton::from_height(1.8);
+    let mut worn = Worn::default();
+    (0..6000).find_map(|k| {
+        let to_and_fro = libm::sin(0.5 * f64::from(k));
+        if worn.is_due(0.05) {
+            let [legs, feet] = [legs_m_s2, feet_m_s2].map(|both| both.map(|accel| accel * to_and_fro));
+            worn.push(&accelerating(legs, feet), &mounts, &skeleton);
+        }
+        worn.verdict(&skeleton, &mounts)
+    })
+}
+
+/// Feet whose places are wrong disagree with either shank, by a little less with the wrong ones: minutes of that are no evidence. Where the difference of both legs is in what they
+/// disagree by, it is.
+#[test]
+fn what_fits_nowhere_is_not_exchanged() {
+    assert_eq!(found([0.0, 1.3], [5.6, -6.5]), None);
+    let exchanged = found([1.0, -1.0], [-1.4, 1.4]).expect("the feet are on one another's legs");
+    assert_eq!(exchanged.taken_from[BodySegment::FootR.index()], BodySegment::FootL.index());
 }
