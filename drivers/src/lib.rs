@@ -15,6 +15,7 @@ pub mod link;
 pub mod motionstar;
 pub mod open_imu;
 mod outbox;
+pub mod polhemus;
 pub mod port;
 pub mod probe;
 pub mod rate;
@@ -24,6 +25,7 @@ pub mod session;
 pub mod slimevr;
 mod turns;
 pub mod vrpn;
+pub mod witmotion;
 pub mod x_imu3;
 pub mod xbus;
 

@@ -23,7 +23,7 @@ pub struct Arrival {
     /// Whether the read ended within the record, the rest of which came later: proof that bytes take their time.
     /// Only the Flock's driver looks; the others say `false`.
     pub split: bool,
-    /// Whether bytes were lost since the record before, of this station (Fastrak) or of the device (Flock), by more than the bytes
+    /// Whether bytes were lost since the record before, of this station (Fastrak) or of the device (Flock, WitMotion), by more than the bytes
     /// that came damaged account for, or than one record: whole cycles may have gone with them, and a number of
     /// [`DeviceTime::Cycle`] may be another here. The others say `false`.
     pub after_loss: bool,
@@ -36,11 +36,11 @@ pub enum DeviceTime {
     /// Records damaged on the wire are counted; cycles that left no trace in the bytes are not, so the number may fall behind
     /// (see [`Arrival::after_loss`]); it never goes back. SlimeVR: the tracker's packet number, which begins anew with a
     /// handshake and is 0 where the tracker does not count. Xbus without a counter: the driver's count of data messages, which
-    /// begins anew with each set-up. open-imu without a clock: the number of the sample.
+    /// begins anew with each set-up. open-imu without a clock: the number of the sample. WitMotion: as Flock, of groups of frames.
     Cycle(u64),
     /// The unit's counter, unwrapped by the driver, in ticks of a nominal `tick_s` seconds. Xbus: sample time (0.1 ms), else
-    /// sample counter (one period); x-IMU3: its clock (1 µs); MotionStar and VRPN: the server's time since 1970 (1 ms, 1 µs);
-    /// open-imu: the device's clock (1 µs, or 1 ms).
+    /// sample counter (one period); x-IMU3: its clock (1 µs); Polhemus: its time since it was switched on (1 ms); MotionStar and VRPN:
+    /// the server's time since 1970 (1 ms, 1 µs); open-imu: the device's clock (1 µs, or 1 ms).
     Counter {
         /// Unwrapped count. It goes back when the device has restarted or set its clock; for an x-IMU3 also from one kind of
         /// message to another, by less than half an inertial period, since an average is dated to its middle.
@@ -73,7 +73,8 @@ pub enum Measurement {
         /// Position of the sensor in the transmitter frame, m (Flock, MotionStar: x forward, y right, z down). Absent in
         /// orientation-only formats. In the wrong half-space around the transmitter it is the negative of the true one.
         position_m: Option<[f64; 3]>,
-        /// Whether a coordinate of it is at the end of what the record can say: beyond, it stands still there, and the others go on.
+        /// Whether a coordinate of it is at the end of what the record can say: beyond, it stands still there, and the others go on; or
+        /// whether the device itself doubts the pose (Polhemus: an error letter).
         clipped: bool,
         /// Unit quaternion (w, x, y, z) that turns sensor coordinates into transmitter coordinates.
         /// Absent in position-only formats.

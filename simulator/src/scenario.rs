@@ -220,6 +220,8 @@ pub struct DeviceScenario {
     pub sampling: Sampling,
     /// What answers as `xbus`; absent: an MTi where there is one sensor, else a chain.
     pub xbus: Option<Personality>,
+    /// A `polhemus` unit is a Patriot, with 60 frames per second, and no Liberty, with 240.
+    pub patriot: bool,
     /// What goes wrong.
     #[serde(rename = "fault")]
     pub faults: Vec<Fault>,
@@ -253,6 +255,7 @@ impl Default for DeviceScenario {
             radio_jitter_ms: 0.0,
             sampling: Sampling::default(),
             xbus: None,
+            patriot: false,
             faults: Vec::new(),
         }
     }

@@ -113,6 +113,8 @@ fn many_devices_are_served_each_at_its_port_with_one_truth() {
         ("flock", "flock-of-birds", "auto", 1),
         ("chain", "xbus", "auto", 1),
         ("fast", "fastrak", "/dev/ttyUSB9", 1),
+        ("liberty", "polhemus", "/dev/ttyUSB8", 1),
+        ("wit", "witmotion", "/dev/ttyUSB7", 0),
         ("unit", "x-imu3", unit.as_str(), 0),
         ("slimes", "slimevr", calls.as_str(), 1),
         ("star", "motionstar", star.as_str(), 2),
@@ -208,6 +210,43 @@ fn doctor_lists_the_trackers_of_a_vrpn_server_and_writes_a_stage_for_them() {
     let of = |path: &Path| Stage::load(path).unwrap().devices[0].driver.clone();
     assert_eq!(of(&written), of(&path));
     assert_eq!(simulation.interrupt().code(), Some(0));
+}
+
+#[test]
+fn doctor_finds_a_liberty_and_a_witmotion_sensor_and_writes_stages_for_them() {
+    let folder = tempfile::tempdir().unwrap();
+    for (driver, addresses) in [("polhemus", &[1, 3][..]), ("witmotion", &[0])] {
+        let (path, written) =
+            (folder.path().join("stage.toml"), folder.path().join(format!("{driver}.toml")));
+        let mut text = format!(
+            "name = \"test\"\n[[device]]\nname = \"d\"\ndriver = \"{driver}\"\nport = \"/dev/none\"\n"
+        );
+        for address in addresses {
+            text += &format!("[[sensor]]\nname = \"s{address}\"\ndevice = \"d\"\naddress = {address}\n");
+        }
+        text += "[[simulation.device]]\nname = \"d\"\nboot_ms = 0.0\n";
+        fs::write(&path, text).unwrap();
+        let simulation = Simulation::start(&path, &[]);
+        // Among all kinds and rates: it is taken for nothing else.
+        let output = posed([
+            "doctor",
+            &simulation.port(),
+            "--baud",
+            "115200",
+            "--json",
+            "--write-stage",
+            written.to_str().unwrap(),
+        ]);
+        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+        let found = json(&output)["ports"][0].clone();
+        assert_eq!((&found["driver"], &found["baud"]), (&driver.into(), &115_200.into()), "{found}");
+        let sensors: Vec<_> =
+            addresses.iter().map(|address| serde_json::json!({ "address": address })).collect();
+        assert_eq!(found["sensors"], serde_json::json!(sensors));
+        let stage = Stage::load(&written).unwrap();
+        assert_eq!((stage.devices[0].driver.word(), stage.sensors.len()), (driver, addresses.len()));
+        assert_eq!(simulation.interrupt().code(), Some(0));
+    }
 }
 
 /// A fresh pseudo-terminal whose other end nobody serves: as silent as a cable that leads nowhere.

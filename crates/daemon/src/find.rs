@@ -17,7 +17,7 @@ use posed_drivers::port::{self, Options, Port, PortError, Stream, Udp};
 use posed_drivers::probe::{Identity, Inquiry, NoAnswer};
 use posed_drivers::session::SensorInfo;
 use posed_drivers::x_imu3::probe::{ANNOUNCEMENTS, Announcement};
-use posed_drivers::{Output, Timestamp, fastrak, flock, motionstar, open_imu, vrpn, x_imu3, xbus};
+use posed_drivers::{Output, Timestamp, fastrak, flock, motionstar, open_imu, polhemus, vrpn, witmotion, x_imu3, xbus};
 use tokio::net::UdpSocket;
 
 use super::clock::StageClock;
@@ -39,6 +39,10 @@ pub enum Kind {
     XImu3,
     /// Fastrak.
     Fastrak,
+    /// Polhemus Liberty or Patriot.
+    Polhemus,
+    /// WitMotion sensor.
+    WitMotion,
     /// MotionStar.
     MotionStar,
     /// VRPN server.
@@ -50,7 +54,15 @@ pub enum Kind {
 impl Kind {
     /// All that may be on a serial port, in the order in which a port is asked: a later question means nothing to
     /// the devices before it.
-    pub const SERIAL: [Self; 5] = [Self::Flock, Self::Xbus, Self::XImu3, Self::Fastrak, Self::OpenImu];
+    pub const SERIAL: [Self; 7] = [
+        Self::Flock,
+        Self::Xbus,
+        Self::XImu3,
+        Self::Fastrak,
+        Self::Polhemus,
+        Self::WitMotion,
+        Self::OpenImu,
+    ];
 
     /// The driver's word in the stage file.
     pub fn word(self) -> &'static str {
@@ -59,6 +71,8 @@ impl Kind {
             Self::Xbus => "xbus",
             Self::XImu3 => "x-imu3",
             Self::Fastrak => "fastrak",
+            Self::Polhemus => "polhemus",
+            Self::WitMotion => "witmotion",
             Self::MotionStar => "motionstar",
             Self::Vrpn => "vrpn",
             Self::OpenImu => "open-imu",
@@ -73,6 +87,8 @@ impl Kind {
             Self::XImu3 => &x_imu3::probe::BAUD_RATES,
             Self::Fastrak => &fastrak::probe::BAUD_RATES,
             Self::OpenImu => &open_imu::probe::BAUD_RATES,
+            Self::Polhemus => &polhemus::probe::BAUD_RATES,
+            Self::WitMotion => &witmotion::probe::BAUD_RATES,
             Self::MotionStar | Self::Vrpn => &[],
         }
     }
@@ -84,6 +100,8 @@ impl Kind {
             Driver::Xbus(_) => Some(Self::Xbus),
             Driver::XImu3(_) => Some(Self::XImu3),
             Driver::Fastrak(_) => Some(Self::Fastrak),
+            Driver::Polhemus(_) => Some(Self::Polhemus),
+            Driver::WitMotion(_) => Some(Self::WitMotion),
             Driver::MotionStar(_) => Some(Self::MotionStar),
             Driver::Vrpn(_) => Some(Self::Vrpn),
             Driver::OpenImu(_) => Some(Self::OpenImu),
@@ -148,6 +166,8 @@ impl Probe {
             Kind::Xbus => xbus::probe::inquiry(now),
             Kind::XImu3 => x_imu3::probe::inquiry(now),
             Kind::Fastrak => fastrak::probe::inquiry(now),
+            Kind::Polhemus => polhemus::probe::inquiry(now),
+            Kind::WitMotion => witmotion::probe::inquiry(now),
             Kind::MotionStar => motionstar::probe::inquiry(now),
             Kind::Vrpn => vrpn::probe::inquiry(now),
             Kind::OpenImu => open_imu::probe::inquiry(now),

@@ -5,8 +5,10 @@ use posed_drivers::fastrak::FastrakSession;
 use posed_drivers::flock::{FlockSession, SettingsError};
 use posed_drivers::motionstar::MotionStarSession;
 use posed_drivers::open_imu::{Carrier, OpenImuSession};
+use posed_drivers::polhemus::PolhemusSession;
 use posed_drivers::slimevr::SlimeVrSession;
 use posed_drivers::vrpn::VrpnSession;
+use posed_drivers::witmotion::WitMotionSession;
 use posed_drivers::x_imu3::XImu3Session;
 use posed_drivers::xbus::XbusSession;
 use posed_state::State;
@@ -19,11 +21,13 @@ pub(super) enum DeviceSession {
     Flock(#[state(inner)] Box<FlockSession>),
     MotionStar(#[state(inner)] Box<MotionStarSession>),
     Fastrak(#[state(inner)] Box<FastrakSession>),
+    Polhemus(#[state(inner)] Box<PolhemusSession>),
     Xbus(#[state(inner)] Box<XbusSession>),
     XImu3(#[state(inner)] Box<XImu3Session>),
     SlimeVr(#[state(inner)] Box<SlimeVrSession>),
     Vrpn(#[state(inner)] Box<VrpnSession>),
     OpenImu(#[state(inner)] Box<OpenImuSession>),
+    WitMotion(#[state(inner)] Box<WitMotionSession>),
 }
 
 impl DeviceSession {
@@ -41,6 +45,9 @@ impl DeviceSession {
             Driver::Fastrak(settings) => {
                 Self::Fastrak(Box::new(FastrakSession::new(settings.clone(), wanted)?))
             }
+            Driver::Polhemus(settings) => {
+                Self::Polhemus(Box::new(PolhemusSession::new(settings.clone(), line_baud, wanted)?))
+            }
             Driver::Xbus(settings) => {
                 Self::Xbus(Box::new(XbusSession::new(settings.clone(), line_baud, wanted)?))
             }
@@ -57,6 +64,9 @@ impl DeviceSession {
                 };
                 Self::OpenImu(Box::new(OpenImuSession::new(settings.clone(), carrier, wanted)?))
             }
+            Driver::WitMotion(settings) => {
+                Self::WitMotion(Box::new(WitMotionSession::new(settings.clone(), line_baud, wanted)?))
+            }
         })
     }
 
@@ -70,11 +80,13 @@ impl DeviceSession {
             Self::Flock(session) => session.as_ref(),
             Self::MotionStar(session) => session.as_ref(),
             Self::Fastrak(session) => session.as_ref(),
+            Self::Polhemus(session) => session.as_ref(),
             Self::Xbus(session) => session.as_ref(),
             Self::XImu3(session) => session.as_ref(),
             Self::SlimeVr(session) => session.as_ref(),
             Self::Vrpn(session) => session.as_ref(),
             Self::OpenImu(session) => session.as_ref(),
+            Self::WitMotion(session) => session.as_ref(),
         }
     }
 
@@ -83,11 +95,13 @@ impl DeviceSession {
             Self::Flock(session) => session.as_mut(),
             Self::MotionStar(session) => session.as_mut(),
             Self::Fastrak(session) => session.as_mut(),
+            Self::Polhemus(session) => session.as_mut(),
             Self::Xbus(session) => session.as_mut(),
             Self::XImu3(session) => session.as_mut(),
             Self::SlimeVr(session) => session.as_mut(),
             Self::Vrpn(session) => session.as_mut(),
             Self::OpenImu(session) => session.as_mut(),
+            Self::WitMotion(session) => session.as_mut(),
         }
     }
 }

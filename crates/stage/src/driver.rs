@@ -4,8 +4,10 @@ use posed_drivers::fastrak::{self, FastrakSession};
 use posed_drivers::flock::{self, FlockSession, SettingsError};
 use posed_drivers::motionstar::{self, MotionStarSession};
 use posed_drivers::open_imu::{self, Carrier, OpenImuSession};
+use posed_drivers::polhemus::{self, PolhemusSession};
 use posed_drivers::slimevr::{self, SlimeVrSession};
 use posed_drivers::vrpn::{self, VrpnSession};
+use posed_drivers::witmotion::{self, WitMotionSession};
 use posed_drivers::x_imu3::{self, XImu3Session};
 use posed_drivers::xbus::{self, XbusSession};
 use posed_fusion::noise::TrackerNoise;
@@ -24,6 +26,8 @@ pub enum Driver {
     MotionStar(motionstar::Settings),
     /// Polhemus Fastrak.
     Fastrak(fastrak::Settings),
+    /// Polhemus Liberty or Patriot.
+    Polhemus(polhemus::Settings),
     /// Xsens MTi, or a chain behind an Xbus Master.
     Xbus(xbus::Settings),
     /// x-io x-IMU3, alone or a chain.
@@ -36,6 +40,9 @@ pub enum Driver {
     Vrpn(vrpn::Settings),
     /// Devices that speak the open format: boards that people build, and phones.
     OpenImu(open_imu::Settings),
+    /// WitMotion sensor with a serial line.
+    #[serde(rename = "witmotion")]
+    WitMotion(witmotion::Settings),
 }
 
 /// Noise that is the same at any distance: what is left of the law is a word's step, less than any tracker has, and the filter raises
@@ -63,17 +70,22 @@ impl Driver {
             Self::FlockOfBirds(_) => "flock-of-birds",
             Self::MotionStar(_) => "motionstar",
             Self::Fastrak(_) => "fastrak",
+            Self::Polhemus(_) => "polhemus",
             Self::Xbus(_) => "xbus",
             Self::XImu3(_) => "x-imu3",
             Self::SlimeVr(_) => "slimevr",
             Self::Vrpn(_) => "vrpn",
             Self::OpenImu(_) => "open-imu",
+            Self::WitMotion(_) => "witmotion",
         }
     }
 
     /// Whether the sensors are body-worn IMUs: they measure an orientation and no position.
     pub fn is_inertial(&self) -> bool {
-        matches!(self, Self::Xbus(_) | Self::XImu3(_) | Self::SlimeVr(_) | Self::OpenImu(_))
+        matches!(
+            self,
+            Self::Xbus(_) | Self::XImu3(_) | Self::SlimeVr(_) | Self::OpenImu(_) | Self::WitMotion(_)
+        )
     }
 
     /// Whether the sensors of an inertial driver send the magnetic field; false for magnetic trackers.
@@ -167,11 +179,13 @@ impl Driver {
             Self::FlockOfBirds(settings) => FlockSession::new(settings.clone(), BAUD, wanted).map(drop),
             Self::MotionStar(settings) => MotionStarSession::new(settings.clone(), wanted).map(drop),
             Self::Fastrak(settings) => FastrakSession::new(settings.clone(), wanted).map(drop),
+            Self::Polhemus(settings) => PolhemusSession::new(settings.clone(), BAUD, wanted).map(drop),
             Self::Xbus(settings) => XbusSession::new(settings.clone(), BAUD, wanted).map(drop),
             Self::XImu3(settings) => XImu3Session::new(settings.clone(), wanted).map(drop),
             Self::SlimeVr(settings) => SlimeVrSession::new(settings.clone(), wanted).map(drop),
             Self::Vrpn(settings) => VrpnSession::new(settings.clone(), wanted).map(drop),
             Self::OpenImu(settings) => OpenImuSession::new(settings.clone(), Carrier::Line, wanted).map(drop),
+            Self::WitMotion(settings) => WitMotionSession::new(settings.clone(), BAUD, wanted).map(drop),
         }
     }
 }

@@ -55,8 +55,10 @@ fn the_corpus_leads_to_samples() {
         ("fastrak", fuzzing::fastrak),
         ("motionstar", fuzzing::motionstar),
         ("open_imu", fuzzing::open_imu),
+        ("polhemus", fuzzing::polhemus),
         ("slimevr", fuzzing::slimevr),
         ("vrpn", fuzzing::vrpn),
+        ("witmotion", fuzzing::witmotion),
     ] {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/corpus").join(target);
         let files = std::fs::read_dir(folder).unwrap().flatten();
@@ -72,7 +74,7 @@ fn the_corpus_leads_to_samples() {
 #[test]
 fn drivers_bear_anything() {
     let mut noise = Noise::new(7);
-    let mut published = [0; 8];
+    let mut published = [0; 10];
     for _ in 0..400 {
         let items = crate::matrix::xbus_items();
         let chain = crate::matrix::xbus_chain();
@@ -92,12 +94,22 @@ fn drivers_bear_anything() {
         published[5] += fuzzing::slimevr(&input(&mut noise, None, &chunk, &chunk));
         published[7] += fuzzing::open_imu(&input(&mut noise, None, &[], &crate::matrix::open_imu_line()));
         published[6] += fuzzing::vrpn(&input(&mut noise, Some((0, 1)), &[], &crate::matrix::vrpn()));
+        published[8] +=
+            fuzzing::polhemus(&input(&mut noise, Some((5, 1)), &[], &crate::matrix::polhemus_binary()));
+        published[9] +=
+            fuzzing::witmotion(&input(&mut noise, Some((1, 1)), &[], &crate::matrix::witmotion()));
         // The messages of one device at the driver of another, and noise.
         let foreign = [noise.bytes(40), items, chain, crate::matrix::x_imu3_binary()].concat();
         let foreign = input(&mut noise, None, &[0xFA, 0xFF, 0x32, 0xFF, 0x01], &foreign);
-        for body in
-            [fuzzing::flock as Body, fuzzing::fastrak, fuzzing::motionstar, fuzzing::slimevr, fuzzing::vrpn]
-        {
+        for body in [
+            fuzzing::flock as Body,
+            fuzzing::fastrak,
+            fuzzing::motionstar,
+            fuzzing::polhemus,
+            fuzzing::slimevr,
+            fuzzing::vrpn,
+            fuzzing::witmotion,
+        ] {
             body(&foreign);
         }
     }

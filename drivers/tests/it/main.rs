@@ -2,14 +2,17 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may stop where its ground gives way")]
 
+mod damage;
 mod fastrak;
 mod fuzz_bodies;
 mod matrix;
 mod motionstar;
 mod open_imu;
+mod polhemus;
 mod rig;
 mod slimevr;
 mod vrpn;
+mod witmotion;
 mod x_imu3;
 mod xbus_captures;
 mod xbus_examples;

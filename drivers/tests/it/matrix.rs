@@ -13,9 +13,11 @@ use posed_drivers::flock::parser;
 use posed_drivers::flock::wire as flock;
 use posed_drivers::motionstar::wire as birdnet;
 use posed_drivers::open_imu::wire::{self as open_imu, csv, json, osc};
+use posed_drivers::polhemus::wire as polhemus;
 use posed_drivers::slimevr::wire as slime;
 use posed_drivers::vrpn::reader::{Piece, Reader};
 use posed_drivers::vrpn::wire as vrpn_wire;
+use posed_drivers::witmotion::wire as witmotion;
 use posed_drivers::x_imu3;
 use posed_drivers::xbus::message::{self, Configuration, Tracker};
 use posed_drivers::xbus::mtdata::{Block, Layout, Orientation};
@@ -156,6 +158,69 @@ fn fastrak_message(shape: fastrak::Shape) -> Vec<u8> {
     }
     .encode(shape, &mut bytes);
     bytes
+}
+
+const POLHEMUS: polhemus::Shape = polhemus::Shape { text: false, button: false };
+const POLHEMUS_TEXT: polhemus::Shape = polhemus::Shape { text: true, button: true };
+
+fn polhemus_message(shape: polhemus::Shape) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    polhemus::Record {
+        model: Some(polhemus::Model::Liberty),
+        station: 1,
+        status: b' ',
+        time_ms: 4000,
+        frame: 960,
+        position_m: [0.5, -0.25, 1.0],
+        orientation_wxyz: [0.5, 0.5, -0.5, 0.5],
+        button: Some(true),
+    }
+    .encode(shape, &mut bytes);
+    bytes
+}
+
+pub(crate) fn polhemus_binary() -> Vec<u8> {
+    polhemus_message(POLHEMUS)
+}
+
+fn decode_polhemus(shape: polhemus::Shape, pieces: &[&[u8]]) -> Vec<String> {
+    let mut splitter = polhemus::Splitter::new(shape);
+    let mut out = Vec::new();
+    for piece in pieces {
+        splitter.push(piece);
+        while let Some(piece) = splitter.find() {
+            if let polhemus::Piece::Record { record, .. } = piece {
+                out.push(format!("{record:?}"));
+            }
+        }
+    }
+    out
+}
+
+pub(crate) fn witmotion() -> Vec<u8> {
+    let mut bytes = Vec::new();
+    witmotion::Group {
+        specific_force_m_s2: [0.25, -0.5, 9.75],
+        angular_velocity_rad_s: [0.25, -0.5, 1.0],
+        angles_rad: [0.0, 0.0, 1.0],
+        quaternion: [0.877_58, 0.0, 0.0, 0.479_43],
+    }
+    .encode(&mut bytes);
+    bytes
+}
+
+fn decode_witmotion(pieces: &[&[u8]]) -> Vec<String> {
+    let mut splitter = witmotion::Splitter::new();
+    let mut out = Vec::new();
+    for piece in pieces {
+        splitter.push(piece);
+        while let Some(piece) = splitter.find() {
+            if let witmotion::Piece::Group { group, .. } = piece {
+                out.push(format!("{group:?}"));
+            }
+        }
+    }
+    out
 }
 
 pub(crate) fn vrpn() -> Vec<u8> {
@@ -363,6 +428,11 @@ fn decoders() -> Vec<Decoder> {
         stream("fastrak text", fastrak_message(FASTRAK_TEXT), |pieces| decode_fastrak(FASTRAK_TEXT, pieces)),
         stream("motionstar", motionstar(), decode_motionstar),
         stream("flock", flock_message, decode_flock),
+        stream("polhemus binary", polhemus_binary(), |pieces| decode_polhemus(POLHEMUS, pieces)),
+        stream("polhemus text", polhemus_message(POLHEMUS_TEXT), |pieces| {
+            decode_polhemus(POLHEMUS_TEXT, pieces)
+        }),
+        Decoder { has_checksum: true, lost_after: 0, ..stream("witmotion", witmotion(), decode_witmotion) },
         Decoder { preamble: vrpn_greeting(), ..stream("vrpn", vrpn(), decode_vrpn) },
         Decoder {
             is_stream: false,

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
+use posed_drivers::polhemus::wire::Model;
 use posed_drivers::x_imu3::wire;
 
 use super::build::transmitter_in_room;
@@ -16,11 +17,13 @@ use crate::line::{Line, LineConfig};
 use crate::magnetic::{Scene, Station};
 use crate::motionstar::{Bird, MotionStar};
 use crate::open_imu::{self, OpenImu};
+use crate::polhemus::{self, Polhemus};
 use crate::random::{Purpose, Random};
 use crate::slimevr::{self, SlimeVr};
 use crate::stage::Link;
 use crate::udp_network::UdpNetwork;
 use crate::vrpn::{Target, Vrpn};
+use crate::witmotion::WitMotion;
 use crate::x_imu3::{self, XImu3};
 use crate::xbus::{Tracker, Xbus};
 
@@ -70,11 +73,13 @@ impl Scenario {
             "motionstar" => Box::new(parts.motionstar()?),
             "open-imu" => Box::new(parts.open_imu()?),
             "fastrak" => Box::new(parts.fastrak()?),
+            "polhemus" => Box::new(parts.polhemus()?),
             "vrpn" => Box::new(parts.vrpn()?),
+            "witmotion" => Box::new(parts.witmotion()?),
             driver => {
                 return Err(parts.wrong(format!(
                     "driver `{driver}` cannot be simulated, only flock-of-birds, xbus, x-imu3, slimevr, motionstar, \
-                     fastrak, vrpn and open-imu"
+                     fastrak, polhemus, vrpn, witmotion and open-imu"
                 )));
             }
         };
@@ -293,6 +298,21 @@ impl Parts<'_> {
         Ok(Powered::new(self.config(), self.random(), |chassis| {
             Fastrak::new(stations, self.scene(), chassis)
         }))
+    }
+
+    fn polhemus(&self) -> Result<Powered<Polhemus>, ScenarioError> {
+        let (model, most) = if self.given.patriot { (Model::Patriot, 2) } else { (Model::Liberty, 16) };
+        let ports = self.stations(most)?.into_iter().map(polhemus::Port::new).collect();
+        Ok(Powered::new(self.config(), self.random(), |chassis| {
+            Polhemus::new(model, ports, self.scene(), chassis)
+        }))
+    }
+
+    fn witmotion(&self) -> Result<Powered<WitMotion>, ScenarioError> {
+        let only = self.sensors.first().filter(|_| self.sensors.len() == 1).map(|&(address, _)| address);
+        let imu = only.filter(|&address| address == 0).and_then(|address| self.imu(address, |errors| errors));
+        let imu = imu.ok_or_else(|| self.wrong("a device is one sensor, at address 0"))?;
+        Ok(Powered::new(self.config(), self.random(), |chassis| WitMotion::new(0, imu, chassis)))
     }
 
     fn vrpn(&self) -> Result<Powered<Vrpn>, ScenarioError> {

@@ -56,7 +56,7 @@ impl StageSpec {
 pub struct DeviceSpec {
     /// Its name, by which a scenario and the sensors name it.
     pub name: String,
-    /// Its driver: `flock-of-birds`, `xbus`, `x-imu3`, `slimevr`, `motionstar`, `fastrak`, `vrpn`, `open-imu`.
+    /// Its driver: `flock-of-birds`, `xbus`, `x-imu3`, `slimevr`, `motionstar`, `fastrak`, `polhemus`, `vrpn`, `witmotion`, `open-imu`.
     pub driver: String,
     /// Its port: `tcp://...` and `udp://...` name a network, anything else a serial line; empty by default. `auto` of SlimeVR is
     /// `udp://127.0.0.1:6969`.
@@ -81,7 +81,7 @@ pub struct DeviceSpec {
     pub hemisphere: Option<[f64; 3]>,
 }
 
-/// A half-space, by its word (Flock, MotionStar) or by its direction (Fastrak).
+/// A half-space, by its word (Flock, MotionStar) or by its direction (Fastrak, Polhemus).
 fn direction<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[f64; 3]>, D::Error> {
     #[derive(Deserialize)]
     #[serde(untagged)]

@@ -209,6 +209,8 @@ fn every_driver_can_be_simulated_and_wrong_addresses_are_named() {
         ("slimevr", "udp://x:6969", &[1, 0x102], &[0x100]),
         ("motionstar", "tcp://x:6000", &[2, 3], &[0]),
         ("fastrak", "a", &[1, 4], &[5]),
+        ("polhemus", "a", &[1, 16], &[17]),
+        ("witmotion", "a", &[0], &[1]),
     ] {
         assert_eq!(of(driver, port, good), Ok(()), "{driver}");
         let error = of(driver, port, bad).unwrap_err();

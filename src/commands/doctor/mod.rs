@@ -57,8 +57,9 @@ pub(crate) struct Args {
 
 fn kind(word: &str) -> Result<Kind, String> {
     let mut all = Kind::SERIAL.into_iter().chain([Kind::MotionStar, Kind::Vrpn]);
-    all.find(|kind| kind.word() == word)
-        .ok_or_else(|| "write flock-of-birds, xbus, x-imu3, fastrak, motionstar or vrpn".to_owned())
+    all.find(|kind| kind.word() == word).ok_or_else(|| {
+        "write flock-of-birds, xbus, x-imu3, fastrak, polhemus, witmotion, motionstar or vrpn".to_owned()
+    })
 }
 
 /// What `doctor` answers.
@@ -165,11 +166,13 @@ fn sentences(port: &FoundPort) -> String {
             "flock-of-birds" => "Flock of Birds",
             "motionstar" => "MotionStar",
             "fastrak" => "Fastrak",
+            "polhemus" => "Polhemus Liberty or Patriot",
             "xbus" => "Xbus device",
             "x-imu3" => "x-IMU3",
             "slimevr" => "SlimeVR trackers",
             "vrpn" => "VRPN server",
             "open-imu" => "boards of the open format",
+            "witmotion" => "WitMotion sensor",
             other => other,
         };
         let model = port.model.as_deref().map(|model| format!(" ({model})")).unwrap_or_default();

@@ -363,9 +363,11 @@ const TABLES: [&str; 8] = [
 const OF_A_HUB: &str = r#"{"type":"subscribe","id":1,"topics":["sensors"],"stages":["s"]}"#;
 
 /// The stage files of the documents, and the demo's with its scenario.
-const STAGES: [(&str, &str); 11] = [
+const STAGES: [(&str, &str); 13] = [
     ("demo", include_str!("../../../config/demo.toml")),
     ("fastrak", include_str!("../../../config/fastrak.toml")),
+    ("polhemus", include_str!("../../../config/polhemus.toml")),
+    ("witmotion", include_str!("../../../config/witmotion.toml")),
     ("field-pole", include_str!("../../../config/field-pole.toml")),
     ("flock-group", include_str!("../../../config/flock-group.toml")),
     ("many-devices", include_str!("../../../config/many-devices.toml")),

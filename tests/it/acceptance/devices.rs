@@ -4,7 +4,7 @@
 
 use posed_drivers::State;
 use posed_drivers::flock::wire::Format;
-use posed_simulator::faults::Fault;
+use posed_simulator::faults::{Bytes, Fault};
 use posed_simulator::scenario::DeviceScenario;
 use posed_simulator::truth::Class;
 use posed_stage::output::SensorState;
@@ -242,6 +242,47 @@ fn a_range_that_the_unit_does_not_have_is_refused_and_no_pose_is_four_times_too_
     assert_eq!(rig.estimates().count(), 0);
     let failed = |emitted: &Said| matches!(emitted, Said::State(_, State::Failed { reason }) if reason.contains("36 or 72 inches"));
     assert!(rig.emitted.iter().any(failed), "{:?}", rig.emitted);
+}
+
+/// A Liberty with two sensors like hands, and this fault.
+fn liberty(fault: Fault, seed: u64) -> Rig {
+    let mut text =
+        "name = \"test\"\n[[device]]\nname = \"d0\"\ndriver = \"polhemus\"\nport = \"auto\"\nbaud = 460800\n"
+            .to_owned();
+    for address in 1..=2 {
+        text += &format!("[[sensor]]\nname = \"s{address}\"\ndevice = \"d0\"\naddress = {address}\n");
+    }
+    let stage = Stage::parse(&text).unwrap();
+    Rig::new(&stage, &scene(seed, QUIET, &["s1", "s2"], vec![device(0, vec![fault])]))
+}
+
+#[test]
+fn damage_to_the_line_of_a_liberty_is_never_wrong_beyond_20_mm_or_5_degrees() {
+    let bytes = Bytes { count: 60, start_s: 8.0, end_s: 20.0 };
+    let mut poses = 0;
+    for seed in 0..2 {
+        for fault in [
+            Fault::LostBytes(bytes),
+            Fault::InsertedBytes(bytes),
+            Fault::Bit7Flips(bytes),
+            Fault::DataBitFlips(bytes),
+        ] {
+            let mut rig = liberty(fault.clone(), seed);
+            rig.run_until(22.0);
+            let judgement = super::judge::judge(&rig, 0, 7.0, 22.0, QUIET);
+            println!(
+                "{} seed {seed}: {} wrong, {} coarse",
+                fault.name(),
+                judgement.wrong(),
+                judgement.wrong_coarse
+            );
+            assert_eq!(judgement.wrong_coarse, 0, "{fault:?}: {:?}", judgement.examples);
+            let is_framing = matches!(fault, Fault::LostBytes(_) | Fault::InsertedBytes(_));
+            assert!(!is_framing || judgement.wrong() == 0, "{fault:?}: {:?}", judgement.examples);
+            poses += judgement.frames;
+        }
+    }
+    assert!(poses > 8 * 3000, "{poses}");
 }
 
 #[test]

@@ -93,9 +93,11 @@ impl Judge {
             let device = stage.devices.iter().position(|device| device.name == sensor.device).expect("known");
             let driver = &stage.devices[device].driver;
             let kind = match driver {
-                Driver::FlockOfBirds(_) | Driver::MotionStar(_) | Driver::Fastrak(_) | Driver::Vrpn(_) => {
-                    Kind::Magnetic
-                }
+                Driver::FlockOfBirds(_)
+                | Driver::MotionStar(_)
+                | Driver::Fastrak(_)
+                | Driver::Polhemus(_)
+                | Driver::Vrpn(_) => Kind::Magnetic,
                 driver if driver.measures_field() && sensor.magnetometer => Kind::Compass,
                 _ => Kind::Tilt,
             };

@@ -229,7 +229,7 @@ export const de: Text = {
     plugged: "Was angesteckt ist", look: "Geräte suchen", looking: "Sucht …", lookHelp: "Fragt jeden seriellen Anschluss und das Netz, was dort ist. Das dauert bis zu 20 s; geändert wird dabei nichts.",
     addAll: (n: number) => `Alle ${n} hinzufügen`, addNamed: (kind: string, port: string) => `${kind} an ${port} hinzufügen`, inStage: "in der Stage", silent: (n: number) => count(n, "Anschluss, an dem nichts antwortet", "Anschlüsse, an denen nichts antwortet"),
     address: "Im Netz, unter", ask: "Dort fragen", stageHas: "Geräte der Stage", noDevice: "Noch keines: Geräte suchen, dann Hinzufügen drücken.", deviceName: (name: string) => `Name des Geräts ${name}`,
-    kinds: { "flock-of-birds": "Flock of Birds", motionstar: "MotionStar", fastrak: "Fastrak", xbus: "Xsens-Gerät", "x-imu3": "x-IMU3", slimevr: "SlimeVR-Tracker", vrpn: "VRPN-Server", "open-imu": "Platinen und Handys" },
+    kinds: { "flock-of-birds": "Flock of Birds", motionstar: "MotionStar", fastrak: "Fastrak", polhemus: "Polhemus Liberty oder Patriot", witmotion: "WitMotion-Sensor", xbus: "Xsens-Gerät", "x-imu3": "x-IMU3", slimevr: "SlimeVR-Tracker", vrpn: "VRPN-Server", "open-imu": "Platinen und Handys" },
     revision: (text: string) => `Revision ${text}`, baud: (n: number) => `${n} Baud`, sensors: (n: number) => count(n, "Sensor", "Sensoren"),
     noSensorYet: "Noch ist kein Sensor da: zuerst ein Gerät suchen und hinzufügen.",
     placeHelp: "Einen Sensor drücken, dann den Körperteil, der ihn trägt, oder umgekehrt. Wird einer bewegt, leuchtet er hier auf. Sensoren, die niemand trägt, bleiben, wie sie sind.",

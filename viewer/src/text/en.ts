@@ -234,7 +234,7 @@ export const en = {
     plugged: "What is plugged in", look: "Look for devices", looking: "Looking …", lookHelp: "Asks every serial port, and the network, what is there. It takes up to 20 s; nothing is changed by it.",
     addAll: (n: number) => `Add all ${n}`, addNamed: (kind: string, port: string) => `Add ${kind} at ${port}`, inStage: "in the stage", silent: (n: number) => count(n, "port where nothing answers", "ports where nothing answers"),
     address: "On the network, at", ask: "Ask there", stageHas: "Devices of the stage", noDevice: "None yet: look for devices, then press Add.", deviceName: (name: string) => `Name of device ${name}`,
-    kinds: { "flock-of-birds": "Flock of Birds", motionstar: "MotionStar", fastrak: "Fastrak", xbus: "Xsens device", "x-imu3": "x-IMU3", slimevr: "SlimeVR trackers", vrpn: "VRPN server", "open-imu": "Boards and phones" },
+    kinds: { "flock-of-birds": "Flock of Birds", motionstar: "MotionStar", fastrak: "Fastrak", polhemus: "Polhemus Liberty or Patriot", witmotion: "WitMotion sensor", xbus: "Xsens device", "x-imu3": "x-IMU3", slimevr: "SlimeVR trackers", vrpn: "VRPN server", "open-imu": "Boards and phones" },
     revision: (text: string) => `revision ${text}`, baud: (n: number) => `${n} baud`, sensors: (n: number) => count(n, "sensor", "sensors"),
     noSensorYet: "There is no sensor yet: find and add a device first.",
     placeHelp: "Press a sensor, then the part of the body that wears it, or the other way round. Move one: it lights up here. Sensors that nobody wears stay as they are.",

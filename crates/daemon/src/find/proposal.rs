@@ -122,11 +122,13 @@ fn names(driver: &str) -> (&str, &str) {
         "flock-of-birds" => ("flock", "bird"),
         "motionstar" => ("star", "star"),
         "fastrak" => ("fastrak", "station"),
+        "polhemus" => ("polhemus", "station"),
         "xbus" => ("chain", "tracker"),
         "x-imu3" => ("imu", "imu"),
         "slimevr" => ("trackers", "slime"),
         "vrpn" => ("mocap", "seen"),
         "open-imu" => ("boards", "board"),
+        "witmotion" => ("imu", "imu"),
         other => (other, "sensor"),
     }
 }
@@ -210,13 +212,25 @@ mod tests {
                 "udp://0.0.0.0:9301",
                 &[(1, "esp-7f3a"), (2, "esp-7f3b"), (0x101, "esp-7f3a/1")],
             ),
+            FoundPort {
+                baud: Some(115_200),
+                sensors: vec![FoundSensor { address: 16, serial: None }],
+                ..report("polhemus", "/dev/ttyUSB2", &[])
+            },
+            FoundPort {
+                baud: Some(9_600),
+                sensors: vec![FoundSensor { address: 0, serial: None }],
+                ..report("witmotion", "/dev/ttyUSB3", &[])
+            },
             report("vrpn", "tcp://10.0.0.9:3883", &[(1, "Head"), (2, "Wand \"A\""), (258, "Wand \"A\"")]),
         ];
         let stage = Stage::parse(&text(&ports, &[])).unwrap();
         let drivers: Vec<&str> = stage.devices.iter().map(|device| device.driver.word()).collect();
         assert_eq!(
             drivers,
-            ["xbus", "x-imu3", "x-imu3", "slimevr", "motionstar", "fastrak", "open-imu", "vrpn"]
+            [
+                "xbus", "x-imu3", "x-imu3", "slimevr", "motionstar", "fastrak", "open-imu", "polhemus", "witmotion", "vrpn"
+            ]
         );
         assert_eq!((stage.devices[2].name.as_str(), stage.devices[1].local_port), ("imu-2", Some(8001)));
         assert_eq!(stage.sensors[1].serial.as_deref(), Some("00342D08"));

@@ -12,7 +12,7 @@ use posed_drivers::port::{self, Options, PortError};
 use posed_protocol::{FoundPort, FoundSensor};
 
 /// How long all questions together may take.
-pub const LIMIT: Duration = Duration::from_millis(18_500);
+pub const LIMIT: Duration = Duration::from_millis(22_500);
 /// Longest that one question to a line takes, a Flock's reset apart.
 const QUESTION: Duration = Duration::from_millis(1600);
 
@@ -255,7 +255,7 @@ mod tests {
     fn every_baud_of_every_kind_is_tried_and_the_likeliest_first() {
         let in_order = questions("/dev/ttyUSB0", Wanted::default());
         assert_eq!(in_order.len(), Kind::SERIAL.iter().map(|kind| kind.bauds().len()).sum::<usize>());
-        let first: Vec<Kind> = in_order[..4].iter().map(|(kind, _)| *kind).collect();
+        let first: Vec<Kind> = in_order[..Kind::SERIAL.len()].iter().map(|(kind, _)| *kind).collect();
         assert_eq!(first, Kind::SERIAL);
         assert_eq!(in_order.last(), Some(&(Kind::Flock, 2400)));
         let star = questions("tcp://10.0.0.2:6000", Wanted::default());

@@ -25,11 +25,18 @@ pub(super) fn check(root: &Item<'_, '_>, stage: &Stage, notes: &mut Notes<'_>) {
             let message = format!("the driver {} cannot work so", device.driver.word());
             notes.problem(&at, error.key, message, format!("write {}", error.expected));
         }
-        let raw = matches!(device.driver, Driver::Xbus(_) | Driver::XImu3(_) | Driver::OpenImu(_));
-        for (_, item) in of_device().filter(|_| !raw) {
-            for key in ["magnetometer", "gyro_delay_ms"] {
+        let has_gyro = matches!(
+            device.driver,
+            Driver::Xbus(_) | Driver::XImu3(_) | Driver::OpenImu(_) | Driver::WitMotion(_)
+        );
+        let keys = [
+            ("magnetometer", device.driver.measures_field(), "no magnetic field to send"),
+            ("gyro_delay_ms", has_gyro, "no rate gyro of its own"),
+        ];
+        for (_, item) in of_device() {
+            for (key, _, lacks) in keys.iter().filter(|(_, has, _)| !has) {
                 if let Some(value) = item.get(key) {
-                    let message = format!("a sensor of {} has no rate gyro of its own", device.driver.word());
+                    let message = format!("a sensor of {} has {lacks}", device.driver.word());
                     notes.problem(&value.span(), key, message, "remove the key");
                 }
             }
