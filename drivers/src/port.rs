@@ -3,6 +3,8 @@
 //! What comes in: the path of a serial port or pseudo-terminal, `tcp://HOST:PORT` or `udp://HOST:PORT`. What goes out:
 //! a [`Port`] to read from and write to, or a sentence for the operator. It decodes nothing.
 
+#[cfg(target_os = "linux")]
+mod hidraw;
 mod udp;
 
 use std::io;
@@ -14,7 +16,15 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
 use tokio::net::TcpStream;
 use tokio_serial::{ClearBuffer, ErrorKind, SerialPort, SerialStream};
 
+#[cfg(target_os = "linux")]
+pub use hidraw::{HidStream, is_one as is_receiver, receivers};
 pub use udp::{UdpStream, shared as shared_udp};
+
+/// Receivers on USB that are plugged in, by path; none on this system.
+#[cfg(not(target_os = "linux"))]
+pub fn receivers() -> Vec<String> {
+    Vec::new()
+}
 
 /// Why a port could not be opened; each states what to check.
 #[derive(Debug, Error)]
@@ -32,6 +42,14 @@ pub enum PortError {
         "no right to open {port}; add yourself to the group `dialout` (sudo usermod -aG dialout $USER) and log in again"
     )]
     NotAllowed {
+        /// The port as named in the stage file.
+        port: String,
+    },
+    /// The operating system refuses to open a receiver on USB.
+    #[error(
+        "no right to open {port}; it needs the udev rule of packaging/60-posed.rules and the group `dialout`, then plug it in again"
+    )]
+    ReceiverNotAllowed {
         /// The port as named in the stage file.
         port: String,
     },
@@ -120,7 +138,7 @@ impl Port<Stream> {
     pub fn set_baud(&mut self, baud: u32) -> io::Result<()> {
         match &mut self.stream {
             Stream::Serial(serial) => serial.set_baud_rate(baud).map_err(io::Error::from),
-            Stream::Tcp(_) | Stream::Udp(_) => Ok(()),
+            _ => Ok(()),
         }
     }
 }
@@ -162,6 +180,9 @@ pub enum Stream {
     Tcp(TcpStream),
     /// Datagrams.
     Udp(UdpStream),
+    /// Reports of a receiver on USB.
+    #[cfg(target_os = "linux")]
+    Hid(HidStream),
 }
 
 impl AsyncRead for Stream {
@@ -170,6 +191,8 @@ impl AsyncRead for Stream {
             Self::Serial(stream) => Pin::new(stream).poll_read(cx, buf),
             Self::Tcp(stream) => Pin::new(stream).poll_read(cx, buf),
             Self::Udp(stream) => Pin::new(stream).poll_read(cx, buf),
+            #[cfg(target_os = "linux")]
+            Self::Hid(stream) => Pin::new(stream).poll_read(cx, buf),
         }
     }
 }
@@ -180,26 +203,28 @@ impl AsyncWrite for Stream {
             Self::Serial(stream) => Pin::new(stream).poll_write(cx, bytes),
             Self::Tcp(stream) => Pin::new(stream).poll_write(cx, bytes),
             Self::Udp(stream) => Pin::new(stream).poll_write(cx, bytes),
+            #[cfg(target_os = "linux")]
+            Self::Hid(stream) => Pin::new(stream).poll_write(cx, bytes),
         }
     }
 
     fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         match self.get_mut() {
-            // A serial flush blocks until the last bit is out; nobody here needs to know when.
-            Self::Serial(_) | Self::Udp(_) => Poll::Ready(Ok(())),
             Self::Tcp(stream) => Pin::new(stream).poll_flush(cx),
+            // A serial flush blocks until the last bit is out; nobody here needs to know when.
+            _ => Poll::Ready(Ok(())),
         }
     }
 
     fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         match self.get_mut() {
-            Self::Serial(_) | Self::Udp(_) => Poll::Ready(Ok(())),
             Self::Tcp(stream) => Pin::new(stream).poll_shutdown(cx),
+            _ => Poll::Ready(Ok(())),
         }
     }
 }
 
-/// Opens a serial port (8 data bits, no parity, 1 stop bit, raw, exclusive), `tcp://HOST:PORT` or `udp://HOST:PORT`.
+/// Opens a receiver on USB (`/dev/hidrawN`, under Linux), a serial port (8 data bits, no parity, 1 stop bit, raw, exclusive), `tcp://HOST:PORT` or `udp://HOST:PORT`.
 ///
 /// What a serial port has received before is thrown away. RTS is let go at once, where it exists: opening a port raises it, and it holds a Flock in reset. TCP sends without delay (no
 /// Nagle). Under Linux an FTDI adapter is set to a latency of 1 ms; where that is not allowed, its bytes may come in bursts of
@@ -225,6 +250,15 @@ pub async fn open(port: &str, options: Options) -> Result<Port<Stream>, PortErro
         })?;
         return Ok(Port::new(Stream::Udp(stream)));
     }
+    #[cfg(target_os = "linux")]
+    if is_receiver(port) {
+        let stream = HidStream::open(port).map_err(|error| match error.kind() {
+            io::ErrorKind::NotFound => PortError::Missing { port: port.into() },
+            io::ErrorKind::PermissionDenied => PortError::ReceiverNotAllowed { port: port.into() },
+            _ => PortError::Other { port: port.into(), reason: error.to_string() },
+        })?;
+        return Ok(Port::new(Stream::Hid(stream)));
+    }
     let baud = options.baud;
     let mut serial =
         SerialStream::open(&tokio_serial::new(port, baud)).map_err(|error| in_words(port, &error))?;
@@ -235,7 +269,7 @@ pub async fn open(port: &str, options: Options) -> Result<Port<Stream>, PortErro
     let modem_lines = serial.write_request_to_send(false).is_ok();
     let set_rts: fn(&mut Stream, bool) -> io::Result<()> = |stream, asserted| match stream {
         Stream::Serial(serial) => serial.write_request_to_send(asserted).map_err(io::Error::from),
-        Stream::Tcp(_) | Stream::Udp(_) => Ok(()),
+        _ => Ok(()),
     };
     Ok(Port { stream: Stream::Serial(serial), set_rts: modem_lines.then_some(set_rts) })
 }

@@ -35,7 +35,7 @@ pub enum DeviceTime {
     /// No clock on the wire, only a number. Flock, Fastrak: the driver numbers measurement cycles by the order of addresses.
     /// Records damaged on the wire are counted; cycles that left no trace in the bytes are not, so the number may fall behind
     /// (see [`Arrival::after_loss`]); it never goes back. SlimeVR: the tracker's packet number, which begins anew with a
-    /// handshake and is 0 where the tracker does not count. Xbus without a counter: the driver's count of data messages, which
+    /// handshake and is 0 where the tracker does not count or comes by radio. Xbus without a counter: the driver's count of data messages, which
     /// begins anew with each set-up. open-imu without a clock: the number of the sample. WitMotion: as Flock, of groups of frames.
     Cycle(u64),
     /// The unit's counter, unwrapped by the driver, in ticks of a nominal `tick_s` seconds. Xbus: sample time (0.1 ms), else

@@ -13,6 +13,7 @@ use std::task::Poll;
 use std::time::{Duration, Instant};
 
 use posed_drivers::Timestamp;
+use posed_drivers::datagram::datagrams;
 use rustix::time::{Itimerspec, TimerfdClockId, TimerfdFlags, TimerfdTimerFlags, Timespec};
 use serde::Serialize;
 use tokio::io::unix::AsyncFd;
@@ -67,6 +68,31 @@ pub struct DeviceInfo {
     pub port: String,
 }
 
+/// A port that gives what stands in envelopes without them, as a receiver on USB does: each write is a whole report.
+struct Opened<P>(P);
+
+impl<P: Port> Port for Opened<P> {
+    async fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.0.read(buffer).await
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
+        datagrams(bytes).flatten().try_for_each(|datagram| self.0.write(datagram.data))
+    }
+
+    fn baud(&self) -> Option<u32> {
+        None
+    }
+
+    fn unplug(&mut self) {
+        self.0.unplug();
+    }
+
+    fn replug(&mut self) -> io::Result<()> {
+        self.0.replug()
+    }
+}
+
 /// Devices that run on tasks of their own, in real time; stopped by [`Host::stop`] or by dropping it. A dropped host may leave
 /// events that the watcher has not seen.
 pub struct Host {
@@ -115,9 +141,15 @@ impl Host {
                 // A phone comes by itself, over the daemon's own port: there is none to open.
                 device.port().to_owned()
             } else {
+                let is_receiver = driver == "slimevr";
                 let file_name = name.chars().map(|c| if c.is_alphanumeric() || c == '-' { c } else { '_' });
                 let link = folder.join(file_name.collect::<String>());
-                tasks.spawn(run(device, Pty::open(&link)?, clock, watcher, stopped));
+                let pty = Pty::open(&link)?;
+                if is_receiver {
+                    tasks.spawn(run(device, Opened(pty), clock, watcher, stopped));
+                } else {
+                    tasks.spawn(run(device, pty, clock, watcher, stopped));
+                }
                 link.to_string_lossy().into_owned()
             };
             host.devices.push(DeviceInfo { name, driver, port });

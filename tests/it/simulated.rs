@@ -249,6 +249,28 @@ fn doctor_finds_a_liberty_and_a_witmotion_sensor_and_writes_stages_for_them() {
     }
 }
 
+#[test]
+fn doctor_lists_the_trackers_of_a_receiver_and_writes_a_stage_for_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, written) = (folder.path().join("stage.toml"), folder.path().join("written.toml"));
+    let text = "name = \"test\"\n\
+        [[device]]\nname = \"hidraw0\"\ndriver = \"slimevr\"\nport = \"/dev/hidraw0\"\ntrackers = [\"C0:FF:EE:12:34:56\"]\n\
+        [[sensor]]\nname = \"a\"\ndevice = \"hidraw0\"\naddress = 1\n\
+        [[simulation.device]]\nname = \"hidraw0\"\nboot_ms = 0.0\n";
+    fs::write(&path, text).unwrap();
+    let simulation = Simulation::start(&path, &[]);
+    let port = simulation.port();
+    assert!(port.ends_with("/hidraw0"), "{port}");
+    let output = posed(["doctor", &port, "--json", "--write-stage", written.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let found = json(&output)["ports"][0].clone();
+    assert_eq!((&found["driver"], &found["model"]), (&"slimevr".into(), &"receiver".into()), "{found}");
+    assert_eq!(found["sensors"], serde_json::json!([{ "address": 1, "serial": "C0:FF:EE:12:34:56" }]));
+    let stage = Stage::load(&written).unwrap();
+    assert_eq!((stage.devices[0].port.as_str(), stage.devices[0].driver.word()), (port.as_str(), "slimevr"));
+    assert_eq!(simulation.interrupt().code(), Some(0));
+}
+
 /// A fresh pseudo-terminal whose other end nobody serves: as silent as a cable that leads nowhere.
 #[test]
 fn doctor_explains_a_silent_port() {

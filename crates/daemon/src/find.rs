@@ -6,16 +6,19 @@
 pub mod proposal;
 pub mod survey;
 
+use std::collections::BTreeMap;
 use std::io;
 use std::net::Ipv4Addr;
 use std::time::Duration;
 
+use posed_drivers::datagram::datagrams;
 use posed_drivers::flock::Findings;
 use posed_drivers::flock::examine::Failure;
 use posed_drivers::flock::wire::Addressing;
 use posed_drivers::port::{self, Options, Port, PortError, Stream, Udp};
 use posed_drivers::probe::{Identity, Inquiry, NoAnswer};
 use posed_drivers::session::SensorInfo;
+use posed_drivers::slimevr::hid::{Contents, packets};
 use posed_drivers::x_imu3::probe::{ANNOUNCEMENTS, Announcement};
 use posed_drivers::{Output, Timestamp, fastrak, flock, motionstar, open_imu, polhemus, vrpn, witmotion, x_imu3, xbus};
 use tokio::net::UdpSocket;
@@ -286,8 +289,8 @@ pub enum NotFound {
 /// Looks for a device on all serial ports but `taken`, and by its announcement where it makes one.
 ///
 /// `serials` are the units that are meant; without any, the first device that answers is. Serial ports are asked at the device's
-/// own line rate. Gives the name of the port and the open port. For SlimeVR, whose trackers come by themselves, it asks nobody
-/// and opens `udp://0.0.0.0:6969`.
+/// own line rate. Gives the name of the port and the open port. For SlimeVR, whose trackers come by themselves, it asks nobody:
+/// it opens a receiver on USB where one is plugged in, else `udp://0.0.0.0:6969`.
 ///
 /// # Errors
 /// [`NotFound`]: no device answers, none with such a serial number, or the port that was found does not open.
@@ -297,6 +300,10 @@ pub async fn search(
     taken: &[String],
 ) -> Result<(String, Port<Stream>), NotFound> {
     let Some(kind) = Kind::of(&device.driver) else {
+        if let Some(name) = port::receivers().into_iter().find(|name| !taken.contains(name)) {
+            let opened = port::open(&name, options(device)).await?;
+            return Ok((name, opened));
+        }
         let all = "udp://0.0.0.0:6969";
         let opened = port::open(all, options(device)).await?;
         return Ok((all.to_owned(), opened));
@@ -395,6 +402,31 @@ async fn open_imus_at(port: u16, time: Duration) -> Option<open_imu::probe::Hear
         heard.datagram(&buffer[..n]);
     }
     heard.identity().is_some().then_some(heard)
+}
+
+/// Network addresses of the trackers that a receiver on USB knows, switched on or not, each once, in the order of their numbers. Takes the
+/// whole `time`.
+///
+/// # Errors
+/// The receiver does not open, or is gone.
+pub async fn radio_trackers(port: &str, time: Duration) -> Result<Vec<String>, PortError> {
+    let mut line = port::open(port, Options::baud(115_200)).await?;
+    let mut found: BTreeMap<u8, [u8; 6]> = BTreeMap::new();
+    let mut buffer = [0; 1024];
+    let clock = StageClock::start();
+    let end = clock.instant(clock.now() + time);
+    while let Ok(read) = tokio::time::timeout_at(end.into(), line.read(&mut buffer)).await {
+        let gone = |error: io::Error| PortError::Other { port: port.to_owned(), reason: error.to_string() };
+        let chunk = &buffer[..read.map_err(gone)?];
+        for packet in
+            datagrams(chunk).flatten().filter_map(|datagram| packets(datagram.data)).flatten().flatten()
+        {
+            if let Contents::Registration(mac) = packet.contents {
+                found.insert(packet.id, mac);
+            }
+        }
+    }
+    Ok(found.into_values().map(|mac| mac.map(|byte| format!("{byte:02X}")).join(":")).collect())
 }
 
 /// Network addresses of the SlimeVR trackers that look for a server within `time`, like `A4:CF:12:D4:E5:F6`, each once, in the

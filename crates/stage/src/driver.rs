@@ -130,6 +130,7 @@ impl Driver {
     pub fn line_baud(&self, port: &str, baud: u32) -> Option<u32> {
         let limited = match port.parse::<PortAddress>() {
             Ok(PortAddress::Udp { .. } | PortAddress::Websocket) => false,
+            Ok(port) if port.is_receiver() => false,
             // A serial server has a line behind it; units with a socket of their own have none.
             Ok(PortAddress::Tcp { .. }) => {
                 !matches!(self, Self::MotionStar(_) | Self::XImu3(_) | Self::Vrpn(_))
@@ -146,8 +147,8 @@ impl Driver {
     pub fn check_port(&self, port: &PortAddress) -> Result<(), &'static str> {
         let (fits, instead) = match (self, port) {
             (Self::SlimeVr(_), port) => (
-                matches!(port, PortAddress::Udp { .. } | PortAddress::Auto),
-                "udp://0.0.0.0:6969, the address of this computer that trackers send to",
+                matches!(port, PortAddress::Udp { .. } | PortAddress::Auto) || port.is_receiver(),
+                "udp://0.0.0.0:6969, the address of this computer that trackers send to, or /dev/hidrawN of a receiver",
             ),
             (Self::MotionStar(_), port) => (
                 matches!(port, PortAddress::Tcp { .. } | PortAddress::Udp { .. }),
@@ -156,11 +157,11 @@ impl Driver {
             (Self::OpenImu(_), _) => (true, ""),
             (Self::Vrpn(_), port) => (matches!(port, PortAddress::Tcp { .. }), "tcp://HOST:3883"),
             (Self::XImu3(_), port) => (
-                *port != PortAddress::Websocket,
+                *port != PortAddress::Websocket && !port.is_receiver(),
                 "the path of a serial port, tcp://HOST:PORT, udp://HOST:PORT, or auto",
             ),
             (_, port) => (
-                !matches!(port, PortAddress::Udp { .. } | PortAddress::Websocket),
+                !matches!(port, PortAddress::Udp { .. } | PortAddress::Websocket) && !port.is_receiver(),
                 "the path of a serial port, tcp://HOST:PORT of a serial server, or auto",
             ),
         };

@@ -9,7 +9,7 @@ use std::str::FromStr;
 pub enum PortAddress {
     /// The daemon looks for the device on all serial ports.
     Auto,
-    /// A serial port or pseudo-terminal by its absolute path, such as `/dev/ttyUSB0`. Nobody has looked whether it is there.
+    /// A serial port or pseudo-terminal by its absolute path, such as `/dev/ttyUSB0`, or a receiver ([`Self::is_receiver`]). Nobody has looked whether it is there.
     Serial(PathBuf),
     /// A serial server, or a device with a socket of its own: `tcp://HOST:PORT`.
     Tcp {
@@ -47,6 +47,14 @@ pub enum PortAddressError {
     /// Neither `auto` nor `websocket` nor a URL nor an absolute path.
     #[error("a serial port is given by its path, which begins with /")]
     Relative,
+}
+
+impl PortAddress {
+    /// Whether it is the path of a receiver on USB, such as `/dev/hidraw0`.
+    pub fn is_receiver(&self) -> bool {
+        let Self::Serial(path) = self else { return false };
+        path.file_name().and_then(|name| name.to_str()).is_some_and(|name| name.starts_with("hidraw"))
+    }
 }
 
 impl FromStr for PortAddress {

@@ -3,7 +3,7 @@
 use super::head::Head;
 use super::script::{pieces, session};
 use crate::datagram::datagrams;
-use crate::slimevr::{Settings, SlimeVrSession, wire};
+use crate::slimevr::{Settings, SlimeVrSession, hid, wire};
 
 /// Envelopes, packets and a session. Nobody looks for trackers: they come by themselves.
 ///
@@ -25,6 +25,8 @@ pub fn slimevr(data: &[u8]) -> usize {
             if let Some(packet) = wire::parse(datagram.data) {
                 packet.items(drop);
             }
+            // As what a receiver gives, too.
+            hid::packets(datagram.data).into_iter().flatten().for_each(drop);
         }
     }
     let Ok(mut live) = SlimeVrSession::new(Settings { trackers }, &wanted) else { return 0 };

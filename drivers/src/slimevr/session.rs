@@ -7,6 +7,9 @@
 //! Addresses of samples: sensor `s` of the tracker with number `n` (its place in the settings, from 1) is
 //! `256 * s + n`.
 
+mod receiver;
+
+use std::collections::BTreeMap;
 use std::fmt;
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -15,6 +18,7 @@ use posed_state::Plain;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::hid::RECEIVER;
 use super::order::Order;
 use super::wire::{self, Handshake, Item, Packet, Refused};
 use crate::arrivals::Arrivals;
@@ -85,6 +89,25 @@ struct Tracker {
     timed_out: bool,
     /// Whether it has measured something, and keeps its number.
     proven: bool,
+    /// How often its button was pressed when it last said so; only of one that comes by radio.
+    presses: u8,
+}
+
+impl Tracker {
+    /// One of the settings that has not come yet.
+    fn new(number: u16, identity: Identity) -> Self {
+        Self {
+            number,
+            identity,
+            peer: None,
+            protocol: 0,
+            order: Order::default(),
+            received_at: Timestamp::ZERO,
+            timed_out: false,
+            proven: true,
+            presses: 0,
+        }
+    }
 }
 
 /// The server of all trackers on one socket: samples are orientations (z up, heading of the tracker's own) and accelerations
@@ -102,6 +125,8 @@ pub struct SlimeVrSession {
     #[state(keep)]
     open_to_all: bool,
     trackers: Vec<Tracker>,
+    /// By its number at a receiver: the place of a tracker.
+    numbered: BTreeMap<u8, usize>,
     next_beat: Option<Timestamp>,
     beats: u32,
     arrivals: Arrivals,
@@ -147,19 +172,8 @@ impl SlimeVrSession {
         }
         Ok(Self {
             open_to_all: macs.is_empty(),
-            trackers: (1..)
-                .zip(macs)
-                .map(|(number, mac)| Tracker {
-                    number,
-                    identity: Identity::Mac(mac),
-                    peer: None,
-                    protocol: 0,
-                    order: Order::default(),
-                    received_at: Timestamp::ZERO,
-                    timed_out: false,
-                    proven: true,
-                })
-                .collect(),
+            trackers: (1..).zip(macs).map(|(number, mac)| Tracker::new(number, Identity::Mac(mac))).collect(),
+            numbered: BTreeMap::new(),
             next_beat: None,
             beats: 0,
             arrivals: Arrivals::default(),
@@ -184,6 +198,9 @@ impl SlimeVrSession {
     }
 
     fn datagram(&mut self, now: Timestamp, offset: u64, datagram: Datagram<'_>) {
+        if datagram.peer == RECEIVER {
+            return self.report(now, offset, datagram.data);
+        }
         let Some(packet) = wire::parse(datagram.data) else { return self.refuse(datagram.data.len()) };
         if packet.is_handshake() {
             return packet.items(|item| {
@@ -196,12 +213,7 @@ impl SlimeVrSession {
         let Some(k) = self.trackers.iter().position(|tracker| tracker.peer == Some(datagram.peer)) else {
             return self.refuse(datagram.data.len());
         };
-        let tracker = &mut self.trackers[k];
-        tracker.received_at = now;
-        if std::mem::take(&mut tracker.timed_out) {
-            let number = tracker.number;
-            self.outbox.warn(now, 0x100 + u32::from(number), || format!("tracker {number} is back"));
-        }
+        self.hear(now, k);
         if packet.number > 0 && !self.in_order(now, k, packet.number) {
             return self.refuse(datagram.data.len());
         }
@@ -226,47 +238,48 @@ impl SlimeVrSession {
 
     fn handshake(&mut self, now: Timestamp, peer: SocketAddr, handshake: Handshake<'_>) {
         let identity = handshake.mac.map_or(Identity::Ip(peer.ip()), Identity::Mac);
-        let k = match self.trackers.iter().position(|tracker| tracker.identity == identity) {
-            Some(k) => k,
-            None if let Some(k) = self.place(now) => {
-                let number = k as u16 + 1;
-                let newcomer = Tracker {
-                    number,
-                    identity,
-                    peer: None,
-                    protocol: 0,
-                    order: Order::default(),
-                    received_at: now,
-                    timed_out: false,
-                    proven: false,
-                };
-                match self.trackers.get_mut(k) {
-                    Some(unproven) => *unproven = newcomer,
-                    None => self.trackers.push(newcomer),
-                }
-                self.outbox.warn(now, 0x200 + u32::from(number), || {
-                    format!("{identity} is tracker {number}; name it under `trackers` to keep that number")
-                });
-                k
-            }
-            None => {
-                self.outbox.warn(now, 1, || {
-                    format!(
-                        "tracker {identity} wants to join; add it to `trackers` in the stage file to serve it"
-                    )
-                });
-                return;
-            }
-        };
+        let Some(k) = self.admit(now, identity) else { return };
         // Whoever had this endpoint before has it no more.
         for tracker in &mut self.trackers {
             if tracker.peer == Some(peer) {
                 tracker.peer = None;
             }
         }
+        self.arrive(now, k, peer);
+        self.trackers[k].protocol = handshake.protocol;
+        self.send(peer, &wire::handshake_reply());
+    }
+
+    /// The place of a tracker, if it is served.
+    fn admit(&mut self, now: Timestamp, identity: Identity) -> Option<usize> {
+        if let Some(k) = self.trackers.iter().position(|tracker| tracker.identity == identity) {
+            return Some(k);
+        }
+        let Some(k) = self.place(now) else {
+            self.outbox.warn(now, 1, || {
+                format!(
+                    "tracker {identity} wants to join; add it to `trackers` in the stage file to serve it"
+                )
+            });
+            return None;
+        };
+        let number = k as u16 + 1;
+        let newcomer = Tracker { received_at: now, proven: false, ..Tracker::new(number, identity) };
+        match self.trackers.get_mut(k) {
+            Some(unproven) => *unproven = newcomer,
+            None => self.trackers.push(newcomer),
+        }
+        self.numbered.retain(|_, of| *of != k);
+        self.outbox.warn(now, 0x200 + u32::from(number), || {
+            format!("{identity} is tracker {number}; name it under `trackers` to keep that number")
+        });
+        Some(k)
+    }
+
+    /// A tracker has come, from where it was or from elsewhere.
+    fn arrive(&mut self, now: Timestamp, k: usize, peer: SocketAddr) {
         let tracker = &mut self.trackers[k];
         tracker.peer = Some(peer);
-        tracker.protocol = handshake.protocol;
         tracker.order = Order::default();
         tracker.received_at = now;
         tracker.timed_out = false;
@@ -279,8 +292,17 @@ impl SlimeVrSession {
             let index = sensor.address >> 8;
             sensor.serial = Some(if index == 0 { serial.clone() } else { format!("{serial}/{index}") });
         }
-        self.send(peer, &wire::handshake_reply());
         self.next_beat.get_or_insert(now + BEAT);
+    }
+
+    /// A tracker has said something.
+    fn hear(&mut self, now: Timestamp, k: usize) {
+        let tracker = &mut self.trackers[k];
+        tracker.received_at = now;
+        if std::mem::take(&mut tracker.timed_out) {
+            let number = tracker.number;
+            self.outbox.warn(now, 0x100 + u32::from(number), || format!("tracker {number} is back"));
+        }
     }
 
     /// Where a tracker that nobody knows may be: in the place of one that never measured and is gone, else in a new one, else in
@@ -439,8 +461,11 @@ impl SlimeVrSession {
                 tracker.timed_out = true;
                 self.outbox.warn(now, 0x500 + u32::from(number), || format!("tracker {number} is silent"));
             }
-            self.send(peer, &wire::heartbeat());
-            self.send(peer, &wire::ping(self.beats));
+            // A receiver hears nothing.
+            if peer != RECEIVER {
+                self.send(peer, &wire::heartbeat());
+                self.send(peer, &wire::ping(self.beats));
+            }
         }
         let any = self.trackers.iter().any(|tracker| tracker.peer.is_some());
         self.next_beat = any.then(|| now + BEAT);
@@ -461,6 +486,7 @@ impl Session for SlimeVrSession {
                 for tracker in &mut self.trackers {
                     tracker.peer = None;
                 }
+                self.numbered.clear();
                 for condition in &mut self.conditions {
                     *condition = Condition::unknown(condition.address);
                 }

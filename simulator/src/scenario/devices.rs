@@ -19,6 +19,7 @@ use crate::motionstar::{Bird, MotionStar};
 use crate::open_imu::{self, OpenImu};
 use crate::polhemus::{self, Polhemus};
 use crate::random::{Purpose, Random};
+use crate::slimevr::receiver::{RadioTracker, Receiver};
 use crate::slimevr::{self, SlimeVr};
 use crate::stage::Link;
 use crate::udp_network::UdpNetwork;
@@ -69,7 +70,7 @@ impl Scenario {
             "flock-of-birds" => return self.virtual_flock(stage, index, riders),
             "xbus" => Box::new(parts.xbus()?),
             "x-imu3" => Box::new(parts.x_imu3()?),
-            "slimevr" => Box::new(parts.slimevr()?),
+            "slimevr" => parts.slimevr()?,
             "motionstar" => Box::new(parts.motionstar()?),
             "open-imu" => Box::new(parts.open_imu()?),
             "fastrak" => Box::new(parts.fastrak()?),
@@ -120,7 +121,8 @@ impl Parts<'_> {
 
     fn link(&self) -> Link {
         let random = Random::new(self.scenario.seed, Purpose::Faults(self.index));
-        if self.spec.port().starts_with("udp://") || self.spec.port() == "websocket" {
+        // A report is whole or not there, as a datagram.
+        if self.spec.port().starts_with("udp://") || self.spec.port() == "websocket" || self.spec.is_receiver() {
             let jitter = Duration::from_secs_f64(self.given.radio_jitter_ms.max(0.0) * 1e-3);
             return Link::UdpNetwork(UdpNetwork::new(&self.given.faults, jitter, random));
         }
@@ -198,9 +200,20 @@ impl Parts<'_> {
         }))
     }
 
-    fn slimevr(&self) -> Result<Powered<SlimeVr>, ScenarioError> {
-        if !self.spec.port().starts_with("udp://") {
-            return Err(self.wrong("SlimeVR trackers come over udp://HOST:PORT"));
+    /// Network address of a tracker: that of the stage, or one of its own.
+    fn mac(&self, number: u16) -> Result<[u8; 6], ScenarioError> {
+        let own = [0xA4, 0xCF, 0x12, 0xD4, self.index as u8, number as u8];
+        match self.spec.serials.get(usize::from(number) - 1) {
+            Some(text) => parse_mac(text)
+                .ok_or_else(|| self.wrong(format!("`{text}` is no network address like A4:CF:12:D4:E5:F6"))),
+            None => Ok(own),
+        }
+    }
+
+    fn slimevr(&self) -> Result<Box<dyn Device>, ScenarioError> {
+        let is_radio = self.spec.is_receiver();
+        if !self.spec.port().starts_with("udp://") && !is_radio {
+            return Err(self.wrong("SlimeVR trackers come over udp://HOST:PORT, or through /dev/hidrawN"));
         }
         let numbers: BTreeSet<u16> = self.sensors.iter().map(|&(address, _)| address & 0xFF).collect();
         if !numbers.iter().all(|number| (1..=64).contains(number)) {
@@ -208,29 +221,37 @@ impl Parts<'_> {
                 self.wrong("the address of a sensor is 256 * sensor + tracker, trackers from 1 to 64")
             );
         }
+        // No magnetometer is trusted: each heading is what it is.
+        let imu = |address| self.imu(address, |errors| FilterErrors { any_heading: true, ..errors });
+        if is_radio {
+            if let Some(&(address, _)) = self.sensors.iter().find(|&&(address, _)| address > 64) {
+                return Err(self.wrong(format!("address {address}: a tracker with radio has one sensor")));
+            }
+            let mut trackers = Vec::new();
+            for number in numbers {
+                trackers.extend(imu(number).map(|imu| (number, imu)));
+            }
+            let macs: Vec<[u8; 6]> =
+                trackers.iter().map(|&(number, _)| self.mac(number)).collect::<Result<_, _>>()?;
+            return Ok(Box::new(Powered::new(self.config(), self.random(), |chassis| {
+                let trackers = trackers.into_iter().zip(macs);
+                let trackers =
+                    trackers.map(|((number, imu), mac)| RadioTracker::new(number, mac, imu, chassis));
+                Receiver::new(trackers.collect())
+            })));
+        }
         let mut trackers = Vec::new();
         for number in numbers {
-            let own = [0xA4, 0xCF, 0x12, 0xD4, self.index as u8, number as u8];
-            let mac = match self.spec.serials.get(usize::from(number) - 1) {
-                Some(text) => parse_mac(text).ok_or_else(|| {
-                    self.wrong(format!("`{text}` is no network address like A4:CF:12:D4:E5:F6"))
-                })?,
-                None => own,
-            };
             let sensors = self.sensors.iter().filter(|&&(address, _)| address & 0xFF == number);
-            let sensors = sensors.filter_map(|&(address, _)| {
-                // No magnetometer is trusted: each heading is what it is.
-                let imu = self.imu(address, |errors| FilterErrors { any_heading: true, ..errors })?;
-                Some(((address >> 8) as u8, imu))
-            });
-            trackers.push((number, mac, sensors.collect()));
+            let sensors = sensors.filter_map(|&(address, _)| Some(((address >> 8) as u8, imu(address)?)));
+            trackers.push((number, self.mac(number)?, sensors.collect()));
         }
-        Ok(Powered::new(self.config(), self.random(), |chassis| {
+        Ok(Box::new(Powered::new(self.config(), self.random(), |chassis| {
             let trackers = trackers
                 .into_iter()
                 .map(|(number, mac, sensors)| slimevr::Tracker::new(number, mac, sensors, chassis));
             SlimeVr::new(trackers.collect())
-        }))
+        })))
     }
 
     fn open_imu(&self) -> Result<Powered<OpenImu>, ScenarioError> {

@@ -101,11 +101,16 @@ impl DeviceSpec {
         if self.driver == "slimevr" && self.port == "auto" { "udp://127.0.0.1:6969" } else { &self.port }
     }
 
+    /// Whether it is a receiver on USB, by its port: its reports come in envelopes.
+    pub(crate) fn is_receiver(&self) -> bool {
+        self.driver == "slimevr" && self.port.contains("/hidraw")
+    }
+
     /// Whether a serial line limits what it sends: also behind a serial server on a network.
     pub(crate) fn has_line(&self) -> bool {
         let has_socket = matches!(self.driver.as_str(), "motionstar" | "x-imu3" | "vrpn");
         let by_tcp = has_socket && self.port().starts_with("tcp://");
-        !by_tcp && !self.port().starts_with("udp://") && self.port() != "websocket"
+        !by_tcp && !self.is_receiver() && !self.port().starts_with("udp://") && self.port() != "websocket"
     }
 }
 

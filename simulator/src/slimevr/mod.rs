@@ -4,6 +4,7 @@
 //! the trackers' datagrams. A tracker calls once a second until a server answers, states what it is, sends its
 //! motion every 10 ms, and calls again after three seconds without a word.
 
+pub(crate) mod receiver;
 #[cfg(test)]
 mod tests;
 

@@ -366,6 +366,7 @@ const OF_A_HUB: &str = r#"{"type":"subscribe","id":1,"topics":["sensors"],"stage
 const STAGES: [(&str, &str); 13] = [
     ("demo", include_str!("../../../config/demo.toml")),
     ("fastrak", include_str!("../../../config/fastrak.toml")),
+    ("slimevr-receiver", include_str!("../../../config/slimevr-receiver.toml")),
     ("polhemus", include_str!("../../../config/polhemus.toml")),
     ("witmotion", include_str!("../../../config/witmotion.toml")),
     ("field-pole", include_str!("../../../config/field-pole.toml")),

@@ -5,16 +5,20 @@ use std::time::Duration;
 
 use tokio::task::JoinSet;
 
-use super::{ANNOUNCED, Answer, Kind, announcements, ask, open_imus, slimevr_trackers};
+use super::{ANNOUNCED, Answer, Kind, announcements, ask, open_imus, radio_trackers, slimevr_trackers};
 use crate::clock::StageClock;
 use posed_drivers::flock::examine::Failure;
 use posed_drivers::port::{self, Options, PortError};
 use posed_protocol::{FoundPort, FoundSensor};
+use posed_stage::PortAddress;
 
 /// How long all questions together may take.
 pub const LIMIT: Duration = Duration::from_millis(22_500);
 /// Longest that one question to a line takes, a Flock's reset apart.
 const QUESTION: Duration = Duration::from_millis(1600);
+
+/// How long a receiver on USB is listened to: it names all that it knows within a second.
+const LISTENED: Duration = Duration::from_millis(1000);
 
 /// What to ask for.
 #[derive(Clone, Copy, Debug, Default)]
@@ -55,7 +59,7 @@ pub async fn ports(
     reports
 }
 
-/// Units that announce themselves on the network, and trackers that look for a server.
+/// Units that announce themselves on the network, trackers that look for a server, and those that receivers on USB know.
 pub async fn network() -> Vec<FoundPort> {
     let (units, trackers, open) = tokio::join!(
         announcements(ANNOUNCED),
@@ -90,7 +94,30 @@ pub async fn network() -> Vec<FoundPort> {
         let answer = Answer { identity, addressing: None };
         reports.push(found(&format!("udp://0.0.0.0:{port}"), Kind::OpenImu, 0, answer));
     }
+    for port in port::receivers() {
+        reports.push(receiver(&port).await);
+    }
     reports
+}
+
+/// What a receiver on USB knows.
+async fn receiver(port: &str) -> FoundPort {
+    let trackers = match radio_trackers(port, LISTENED).await {
+        Ok(trackers) => trackers,
+        Err(error) => return refused(port, &error),
+    };
+    let problem = trackers.is_empty().then(|| "the receiver says nothing".to_owned());
+    let fix = "pair a tracker with it (`pair` on its serial console), and end other programs that read it";
+    let sensors = (1..).zip(trackers).map(|(n, mac)| FoundSensor { address: n, serial: Some(mac) });
+    FoundPort {
+        port: port.to_owned(),
+        driver: Some("slimevr".to_owned()),
+        model: Some("receiver".to_owned()),
+        sensors: sensors.collect(),
+        fix: problem.is_some().then(|| fix.to_owned()),
+        problem,
+        ..FoundPort::default()
+    }
 }
 
 /// The questions to a port, in their order: the likeliest rates of every kind first.
@@ -121,6 +148,9 @@ fn questions(port: &str, wanted: Wanted) -> Vec<(Kind, u32)> {
 
 /// Asks one port until something answers.
 async fn one(port: &str, wanted: Wanted, limit: Duration) -> FoundPort {
+    if port.parse::<PortAddress>().is_ok_and(|address| address.is_receiver()) {
+        return receiver(port).await;
+    }
     let questions = questions(port, wanted);
     let first = questions.first().map_or(115_200, |(_, baud)| *baud);
     let mut line = match port::open(port, Options::baud(first)).await {
@@ -219,6 +249,10 @@ fn refused(port: &str, error: &PortError) -> FoundPort {
         PortError::NotAllowed { .. } => (
             "this user may not open the port".to_owned(),
             "join the group dialout (sudo usermod -aG dialout $USER), then log in again",
+        ),
+        PortError::ReceiverNotAllowed { .. } => (
+            "this user may not open the receiver".to_owned(),
+            "install packaging/60-posed.rules in /etc/udev/rules.d, join the group dialout, and plug it in again",
         ),
         PortError::Busy { .. } => ("another program has the port open".to_owned(), "end that program"),
         PortError::Unreachable { source, .. } => (
