@@ -20,7 +20,9 @@ use posed_drivers::probe::{Identity, Inquiry, NoAnswer};
 use posed_drivers::session::SensorInfo;
 use posed_drivers::slimevr::hid::{Contents, packets};
 use posed_drivers::x_imu3::probe::{ANNOUNCEMENTS, Announcement};
-use posed_drivers::{Output, Timestamp, fastrak, flock, motionstar, open_imu, polhemus, vrpn, witmotion, x_imu3, xbus};
+use posed_drivers::{
+    Output, Timestamp, fastrak, flock, motionstar, open_imu, polhemus, vrpn, witmotion, x_imu3, xbus,
+};
 use tokio::net::UdpSocket;
 
 use super::clock::StageClock;
@@ -57,15 +59,8 @@ pub enum Kind {
 impl Kind {
     /// All that may be on a serial port, in the order in which a port is asked: a later question means nothing to
     /// the devices before it.
-    pub const SERIAL: [Self; 7] = [
-        Self::Flock,
-        Self::Xbus,
-        Self::XImu3,
-        Self::Fastrak,
-        Self::Polhemus,
-        Self::WitMotion,
-        Self::OpenImu,
-    ];
+    pub const SERIAL: [Self; 7] =
+        [Self::Flock, Self::Xbus, Self::XImu3, Self::Fastrak, Self::Polhemus, Self::WitMotion, Self::OpenImu];
 
     /// The driver's word in the stage file.
     pub fn word(self) -> &'static str {

@@ -122,7 +122,10 @@ impl Parts<'_> {
     fn link(&self) -> Link {
         let random = Random::new(self.scenario.seed, Purpose::Faults(self.index));
         // A report is whole or not there, as a datagram.
-        if self.spec.port().starts_with("udp://") || self.spec.port() == "websocket" || self.spec.is_receiver() {
+        if self.spec.port().starts_with("udp://")
+            || self.spec.port() == "websocket"
+            || self.spec.is_receiver()
+        {
             let jitter = Duration::from_secs_f64(self.given.radio_jitter_ms.max(0.0) * 1e-3);
             return Link::UdpNetwork(UdpNetwork::new(&self.given.faults, jitter, random));
         }

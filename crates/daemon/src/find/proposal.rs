@@ -229,7 +229,16 @@ mod tests {
         assert_eq!(
             drivers,
             [
-                "xbus", "x-imu3", "x-imu3", "slimevr", "motionstar", "fastrak", "open-imu", "polhemus", "witmotion", "vrpn"
+                "xbus",
+                "x-imu3",
+                "x-imu3",
+                "slimevr",
+                "motionstar",
+                "fastrak",
+                "open-imu",
+                "polhemus",
+                "witmotion",
+                "vrpn"
             ]
         );
         assert_eq!((stage.devices[2].name.as_str(), stage.devices[1].local_port), ("imu-2", Some(8001)));
