@@ -154,7 +154,10 @@ impl Driver {
                 matches!(port, PortAddress::Tcp { .. } | PortAddress::Udp { .. }),
                 "tcp://HOST:6000 or udp://HOST:5000",
             ),
-            (Self::OpenImu(_), _) => (true, ""),
+            (Self::OpenImu(_), port) => (
+                !port.is_receiver(),
+                "websocket, udp://HOST:PORT, the path of a serial port, tcp://HOST:PORT, or auto",
+            ),
             (Self::Vrpn(_), port) => (matches!(port, PortAddress::Tcp { .. }), "tcp://HOST:3883"),
             (Self::XImu3(_), port) => (
                 *port != PortAddress::Websocket && !port.is_receiver(),
