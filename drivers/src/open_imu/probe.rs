@@ -11,10 +11,9 @@ pub const BAUD_RATES: [u32; 3] = [115_200, 921_600, 460_800];
 /// UDP ports to which devices send.
 pub const PORTS: [u16; 2] = [9301, 9302];
 
-/// An inquiry of at most 1.1 s: who is there, and what comes by itself. It changes nothing; `now` is the time at which the port is open.
+/// An inquiry of at most 0.6 s: who is there, and what comes by itself. It changes nothing; `now` is the time at which the port is open.
 pub fn inquiry(now: Timestamp) -> Inquiry {
-    let questions = vec![Question::new(csv::WHO, 600), Question::new(csv::WHO, 500)];
-    Inquiry::new(now, questions, Box::new(Answers::default()))
+    Inquiry::new(now, vec![Question::new(csv::WHO, 600)], Box::new(Answers::default()))
 }
 
 /// What devices have said of themselves, and which of their sensors have sent.
@@ -74,11 +73,6 @@ impl Heard {
         }
     }
 
-    /// Identifiers of the devices, in the order in which [`Identity::sensors`] numbers them.
-    pub fn identifiers(&self) -> Vec<String> {
-        self.devices.iter().map(|device| device.id.clone()).collect()
-    }
-
     /// What they are, together: their sensors by `256 * sensor + number of the device`. `None` where nobody has said anything.
     pub fn identity(&self) -> Option<Identity> {
         let only = match self.devices.as_slice() {
@@ -133,5 +127,47 @@ impl Listener for Answers {
 
     fn identity(&self) -> Option<Identity> {
         self.heard.identity()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::probe::NoAnswer;
+
+    #[test]
+    fn a_board_is_known_by_what_it_sends() {
+        let mut inquiry = inquiry(Timestamp::ZERO);
+        assert_eq!(inquiry.poll_transmit().unwrap(), b"$?\n");
+        let now = Timestamp::from_secs_f64(0.1);
+        inquiry.handle_bytes(now, b"boot ok\r\n");
+        inquiry.handle_bytes(now, &csv::line("I,esp-7f3a,1,1,10000,0,0,0,0,0,9.81"));
+        assert_eq!(inquiry.result(), None);
+        inquiry.handle_bytes(now, &csv::line("H,esp-7f3a,1,Left thigh,0.3,100,us,32"));
+        let found = inquiry.result().unwrap().as_ref().unwrap();
+        assert_eq!((found.model.as_deref(), found.rate_hz), (Some("Left thigh"), Some(100.0)));
+        assert_eq!(found.sensors, [SensorInfo { address: 0x101, serial: Some("esp-7f3a/1".to_owned()) }]);
+    }
+
+    #[test]
+    fn an_echo_is_no_board() {
+        let mut inquiry = inquiry(Timestamp::ZERO);
+        let question = inquiry.poll_transmit().unwrap();
+        inquiry.handle_bytes(Timestamp::ZERO, &question);
+        inquiry.handle_timeout(inquiry.poll_timeout().unwrap());
+        assert_eq!(inquiry.result(), Some(&Err(NoAnswer::Unintelligible)));
+    }
+
+    #[test]
+    fn who_sends_over_a_network_is_listed_by_number() {
+        let mut heard = Heard::default();
+        assert!(heard.identity().is_none() && !heard.datagram(b"IMU?1"));
+        for line in ["H,b,1,Wrist,1,50,us,32", "I,a,0,1,2,0,0,0,0,0,9.81", "I,a,3,1,2,0,0,0,0,0,9.81"] {
+            assert!(heard.datagram(&csv::line(line)));
+        }
+        let identity = heard.identity().unwrap();
+        let sensors: Vec<_> =
+            identity.sensors.iter().map(|info| (info.address, info.serial.as_deref().unwrap())).collect();
+        assert_eq!(sensors, [(1, "b"), (2, "a"), (0x302, "a/3")]);
     }
 }
