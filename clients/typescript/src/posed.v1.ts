@@ -18,7 +18,7 @@ export type AnchorSpec = {
 };
 
 /** What a request was answered with; which one gets which: [`Answers`]. All others are answered with `ok` alone. */
-export type Answer = Resumed | RecordingBegun | Started | Forgotten | Recordings | Tracked | Takes | Digested | Removed | Look | Labels | HealthHistory | Exercises | Demonstration | MapVersion | Setup | KeptFile | SessionBegun | ListedSessions | Shown | Report | People | Plans | Renamed;
+export type Answer = Resumed | RecordingBegun | Started | Forgotten | Recordings | Tracked | Takes | Digested | Removed | Look | Labels | HealthHistory | Exercises | Demonstration | MapVersion | Setup | Invitation | Phones | KeptFile | SessionBegun | ListedSessions | Shown | Report | People | Plans | Renamed;
 
 /** The `result` of each request that has one, by the request's `type`. */
 export type Answers = {
@@ -40,6 +40,8 @@ export type Answers = {
   "library.remove": Renamed;
   "library.rename": Renamed;
   "library.restore": Renamed;
+  "phone.invite": Invitation;
+  "phone.list": Phones;
   "record.start": RecordingBegun;
   "replay.label": Labels;
   "replay.labels": Labels;
@@ -456,6 +458,14 @@ export type Call = {
   /** Only this one: path of a serial port, tcp://HOST:PORT or udp://HOST:PORT; absent: all serial ports, and the units that announce themselves on the network. */
   port?: string | null;
   type: "setup.find";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  type: "phone.invite";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  type: "phone.list";
 } | {
   /** The reply carries it. */
   id: RequestId;
@@ -1153,6 +1163,20 @@ export type Intrinsics = {
   unit?: string | null;
 };
 
+/** How a phone comes. */
+export type Invitation = {
+  /** What the daemon's own authority is called, which a phone may be told to trust; null where the stage file names a certificate. */
+  authority: string | null;
+  /** The SHA-256 fingerprint of the authority's certificate; empty where the stage file names a certificate. */
+  fingerprint: string;
+  /** The same page by the other addresses and the name of this computer. */
+  others: string[];
+  /** The page to open on the phone, with the token for sensors behind `#`. */
+  page: string;
+  /** `page` as a QR code. */
+  qr: QrCode;
+};
+
 /** A long job. */
 export type Job = {
   /** Its number, for `job.cancel`. */
@@ -1548,6 +1572,28 @@ export type Person = {
 /** How final an event is that can be taken back. */
 export type Phase = "provisional" | "confirmed" | "withdrawn";
 
+/** One that is connected. */
+export type Phone = {
+  /** The changes that make it one, without a segment; none where it is one. */
+  adds: StageChange[];
+  /** How it is held, as it reports that itself: its axes in a world whose z is up; null where it has not. */
+  orientation_wxyz: [number, number, number, number] | null;
+  /** Where it is connected from. */
+  peer: string;
+  /** What it calls itself for good. */
+  phone_id: string;
+  /** Its name, for people; may be empty. */
+  phone_name: string;
+  /** The stage's sensor that it is, by name; null: none yet. */
+  sensor: string | null;
+};
+
+/** What is connected to the websocket `/imu`. */
+export type Phones = {
+  /** Each by its id, in the order of these. */
+  phones: Phone[];
+};
+
 /** Where sensors went, thinned out: enough for a thumbnail. */
 export type Picture = {
   /** A path for each sensor that measures positions; where none does, for hips, hands and feet of each body. */
@@ -1643,6 +1689,14 @@ export type Progress = {
   sensors: string[];
   /** Middles of cells inside the hull that it did not come near, at most 60, transmitter frame, m. */
   unvisited_m: ([number, number, number])[];
+};
+
+/** A picture of squares. */
+export type QrCode = {
+  /** The dark ones, as a path of SVG with squares of one unit. */
+  path: string;
+  /** How many squares are side by side, without the margin of four that it needs. */
+  width: number;
 };
 
 /** How good a pose is. */
@@ -1744,7 +1798,7 @@ export type Resumed = {
 };
 
 /** What a client may do. */
-export type Role = "watch" | "operate";
+export type Role = "sensor" | "watch" | "operate";
 
 /** A surveyed point of the room. */
 export type RoomPoint = {

@@ -102,9 +102,8 @@ impl Identity {
 struct Open {
     token: Secret,
     host: String,
-    port: u16,
-    /// Addresses of this computer that others may reach.
-    addresses: Vec<IpAddr>,
+    /// Where it is listened.
+    bound: SocketAddr,
     identity: Identity,
     _announced: Option<Announced>,
 }
@@ -239,7 +238,6 @@ impl Phones {
             share(&listener).map_err(|error| PhoneError::Bind { listen: LISTEN.to_owned(), error })?;
         let port = address.port();
         // At an address of this computer alone nobody else comes.
-        let addresses = if address.ip().is_unspecified() { addresses } else { vec![address.ip()] };
         let announced =
             if address.ip().is_loopback() { None } else { announce::announce(&inner.stage, &host, port) };
         let (served, serves) = watch::channel(acceptor);
@@ -247,7 +245,7 @@ impl Phones {
         if identity.authority().is_some() {
             tokio::spawn(self.clone().renew(served));
         }
-        let open = Open { token, host, port, addresses, identity, _announced: announced };
+        let open = Open { token, host, bound: address, identity, _announced: announced };
         let Invitation { page, fingerprint, .. } = self.invitation(&open);
         let page = page.split('#').next().unwrap_or_default();
         tracing::info!("phones come to {page}; the certificate's fingerprint is {fingerprint}");
@@ -289,23 +287,27 @@ impl Phones {
             if now.0 == made.0 && now.1 - made.1 < old_ns {
                 continue;
             }
-            let mut opened = self.opened();
-            let Some(Ok(open)) = opened.as_mut() else { return };
+            let opened = self.opened();
+            let Some(Ok(open)) = &*opened else { return };
             if let Ok(acceptor) = self.0.acceptor(&open.identity, &open.host, &now.0) {
                 served.send_replace(acceptor);
-                open.addresses.clone_from(&now.0);
                 made = now;
             }
         }
     }
 
     fn invitation(&self, open: &Open) -> Invitation {
-        let hosts = open.addresses.iter().map(|address| match address {
+        let written = |address: IpAddr| match address {
             IpAddr::V4(address) => address.to_string(),
             IpAddr::V6(address) => format!("[{address}]"),
-        });
-        let hosts = hosts.chain(std::iter::once(open.host.clone()));
-        let page = |host: String| format!("https://{host}:{}/phone#k={}", open.port, open.token.reveal());
+        };
+        // The certificate is for no public address.
+        let (private, public): (Vec<IpAddr>, Vec<IpAddr>) =
+            served_at(open.bound).into_iter().partition(|address| certificate::is_private(*address));
+        let hosts = private.into_iter().map(written).chain(std::iter::once(open.host.clone()));
+        let hosts = hosts.chain(public.into_iter().map(written));
+        let page =
+            |host: String| format!("https://{host}:{}/phone#k={}", open.bound.port(), open.token.reveal());
         let mut pages: Vec<String> = hosts.map(page).collect();
         let page = pages.remove(0);
         Invitation {
@@ -381,6 +383,14 @@ fn reachable() -> Vec<IpAddr> {
     all.sort_by_key(|address| (!certificate::is_private(*address), address.is_ipv6(), *address));
     all.dedup();
     all
+}
+
+/// Addresses by which phones reach a socket; at one of this computer alone nobody else comes.
+fn served_at(bound: SocketAddr) -> Vec<IpAddr> {
+    if !bound.ip().is_unspecified() {
+        return vec![bound.ip()];
+    }
+    reachable().into_iter().filter(|address| bound.is_ipv6() || address.is_ipv4()).collect()
 }
 
 /// A text as a QR code: a path of squares, and how many there are side by side.
