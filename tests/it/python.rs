@@ -1,4 +1,4 @@
-//! The Python client, as a user has it: its wheel, against a running demo; its types, its notebook, and what it makes of a recording.
+//! The Python client, as a user has it: its wheel, against a running demo; its types, its notebook, and what it makes of a recording. And the Blender add-on.
 //!
 //! Runs where `POSED_TEST_READERS` names the folder into which `tests/readers/install` has put what it needs.
 
@@ -8,7 +8,7 @@ use std::process::Command;
 use crate::daemon::process::Posed;
 
 #[test]
-fn the_python_client_does_what_it_says() {
+fn the_python_client_and_the_blender_add_on_do_what_they_say() {
     let Some(readers) = std::env::var_os("POSED_TEST_READERS") else {
         println!("skipped: set POSED_TEST_READERS to the folder that tests/readers/install has filled");
         return;

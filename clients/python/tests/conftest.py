@@ -96,6 +96,10 @@ def take(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
     import posed
 
     with posed.connect(address) as stage:
+        # The simulated trackers take their time to boot.
+        wand = stage.sensors(["wand"])
+        while not wand.get(60).usable[0]:
+            pass
         begun = stage.record_start(name="client.mcap")
         bodies = stage.body()
         first = bodies.get(60).t_s
