@@ -1,21 +1,20 @@
 """What pylsl reads of a stage beside our own websocket: streams, channels, capture times, poses.
 
-Usage: pip install pylsl websockets; posed demo --stage STAGE.toml (with [lsl]);
-       python benches/peers/lsl/read.py ws://127.0.0.1:8787/ws "STAGE NAME" [SECONDS]
+Usage: pip install pylsl ./clients/python; posed demo --stage STAGE.toml (with [lsl]);
+       python benches/peers/lsl/read.py 127.0.0.1:8787 "STAGE NAME" [SECONDS]
 
 Capture times of the two are related by this computer's own clocks: UTC of the stage's epoch, and liblsl's clock against UTC, asked here. They must agree within
 a millisecond, and poses of equal times within the rounding of our messages. Ends with 1 if they do not.
 """
 
 import asyncio
-import datetime
 import json
 import math
 import sys
 import time
 
+import posed
 import pylsl
-from websockets.asyncio.client import connect
 
 address, stage = sys.argv[1:3]
 seconds = float(sys.argv[3]) if len(sys.argv) > 3 else 5.0
@@ -48,17 +47,12 @@ def labels(inlet):
 
 
 async def watch(end):
-    frames, epoch = {}, None
-    async with connect(address, subprotocols=["posed.v1"]) as ours:
-        await ours.send(json.dumps({"type": "subscribe", "id": 1, "topics": ["sensors"], "drop": "queue"}))
-        while time.monotonic() < end:
-            message = json.loads(await ours.recv())
-            if message["type"] == "hello":
-                whole, fraction = message["epoch_utc"].rstrip("Z").split(".")
-                epoch = datetime.datetime.fromisoformat(whole + "+00:00").timestamp() + float(f"0.{fraction}")
-            elif message["type"] == "sensors":
-                frames[message["t_s"]] = message["sensors"]
-    return epoch, frames
+    frames = {}
+    async with posed.aio.connect(address) as ours:
+        async for frame in ours.sensors(drop="queue"):
+            frames[frame.t_s] = frame.message["sensors"]
+            if time.monotonic() >= end:
+                return ours.epoch_utc.astype("int64") * 1e-9, frames
 
 
 def read(inlet, end):
