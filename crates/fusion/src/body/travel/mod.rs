@@ -36,7 +36,8 @@ pub(super) use shank::ShankSeen;
 
 /// Of a point that stands, from the pelvis, m: posture and skin.
 const POINT_M: f64 = 0.01;
-/// A point that moves says less: as if it were wrong by what it does in this time, s.
+/// A point that moves says less: as if it were wrong by what it does in this time, s. One that stands, or is about to leave, moves no faster than its foot turns about the
+/// other end of its sole: what seems to go faster shows that the body's velocity is not known, and not that the point is loose.
 const LOOSE_S: f64 = 0.3;
 /// Nobody jumps for longer, s. Beyond, the velocity is nothing and the lower ankle where an ankle stands to so much, m/s, m, at each time.
 const JUMP_S: f64 = 1.0;
@@ -199,6 +200,11 @@ impl TravelFilter {
         [-self.heel_m, self.balls[side].ahead_m].map(|ahead_m| Vector3::new(ahead_m, -self.foot_m, 0.0))
     }
 
+    /// From heel to ball, m.
+    fn sole_length_m(&self, side: usize) -> f64 {
+        self.balls[side].ahead_m + self.heel_m
+    }
+
     /// Lengths of the right and the left shank as feet that stand have shown them, each with its standard deviation, m.
     pub(super) fn shanks_m(&self) -> [[f64; 2]; 2] {
         self.shanks.map(|shank| shank.length_m())
@@ -246,7 +252,7 @@ impl TravelFilter {
                 self.steps += 1.0;
             }
             for (which, point) in points.iter().enumerate() {
-                self.stand(side, which, &(point.at_m - legs.sensor_m), speeds_m_s[which], height_m);
+                self.stand(side, which, point, &legs.sensor_m, speeds_m_s[which], height_m);
             }
             if let Some(seen) = &legs.shanks[side]
                 && let Some(flat) = self.lies_flat(side)
@@ -368,12 +374,13 @@ impl TravelFilter {
         flat.then(|| points.iter().map(|point| point.probability * point.now).product())
     }
 
-    /// A point that stands holds the pelvis's sensor, from which it is so far, m.
+    /// A point that stands holds the pelvis's sensor, which is so far from the hips' mid-point, m.
     fn stand(
         &mut self,
         side: usize,
         which: usize,
-        at_m: &Vector3<f64>,
+        point: &Point,
+        sensor_m: &Vector3<f64>,
         speed_m_s: Option<Vector3<f64>>,
         height_m: f64,
     ) {
@@ -384,6 +391,7 @@ impl TravelFilter {
         if let Some(speed_m_s) = speed_m_s {
             self.doubt(&speed_m_s);
         }
+        let at_m = point.at_m - sensor_m;
         let foothold = foothold(side, which);
         if contact.before_s == 0.0 {
             for (k, axis) in self.axes.iter_mut().enumerate() {
@@ -393,7 +401,9 @@ impl TravelFilter {
         if contact.before_s < LANDED_S && contact.stood_s >= LANDED_S {
             self.level(foothold, height_m);
         }
-        let loose_m = LOOSE_S * speed_m_s.map_or(0.0, |speed| speed.norm());
+        let rolls_m_s =
+            point.turns_rad_s.map_or(f64::INFINITY, |turns| turns.norm() * self.sole_length_m(side));
+        let loose_m = LOOSE_S * speed_m_s.map_or(0.0, |speed| speed.norm().min(rolls_m_s));
         // It counts as much as the point, and this very time, make it likely to stand: the probability lags by some hundredths of a second.
         let noise_m2 = (POINT_M * POINT_M + loose_m * loose_m) / (contact.probability * contact.now);
         for (k, axis) in self.axes.iter_mut().enumerate() {
@@ -418,8 +428,8 @@ impl TravelFilter {
         if heel.stands() || !ball.stands() || rises_m_s < ROLLS_OVER_M_S {
             return;
         }
+        let sole_m = self.sole_length_m(side);
         let Ball { ahead_m, variance_m2 } = &mut self.balls[side];
-        let sole_m = *ahead_m + self.heel_m;
         let seen_m = sole_m * heel_m_s / rises_m_s - self.heel_m;
         let noise_m = BALL_M_S * sole_m / rises_m_s;
         let gain = *variance_m2 / (*variance_m2 + noise_m * noise_m * BALL_CORRELATED_S / dt_s);
