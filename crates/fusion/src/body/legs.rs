@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use super::moving::Moving;
 use super::sensor::Sensor;
 use super::skeleton::{BodySegment, Limb};
-use super::travel::{Foot, Legs, Point, ShankSeen};
+use super::travel::{Foot, Legs, Point};
 use super::{BodyFilter, BodySamples, HOLD_S, LEGS_S, health};
 use posed_geometry::GRAVITY_M_S2;
 
@@ -27,20 +27,16 @@ impl BodyFilter {
         let acceleration_m_s2 = |moving: &Moving, from_sensor_m: Vector3<f64>| {
             moving.at(&from_sensor_m) - Vector3::z() * GRAVITY_M_S2
         };
-        let shanks = sides.map(|(shank, _)| {
-            let (moving, sensor) = self.moving(shank, samples)?;
-            let (ankle_m, length_m) = (self.skeleton.end_in_segment_m(shank), self.skeleton.shank_m);
-            let ankle_m_s2 = acceleration_m_s2(&moving, ankle_m - sensor.mount.offset_m);
-            let by_length = moving.q_room_segment * (moving.lever() * ankle_m) / length_m;
-            Some((ShankSeen { ankle_m_s2, length_m, by_length }, sensor.is_learnt()))
-        });
         let feet = [0, 1].map(|side| {
-            let (_, foot) = sides[side];
+            let (shank, foot) = sides[side];
             let at_m = ankles_m[side];
             if self.shows(foot).is_none() {
+                let ankle_m = self.skeleton.end_in_segment_m(shank);
                 return Foot::Ankle(Point {
                     at_m,
-                    accel_m_s2: shanks[side].map(|(seen, _)| seen.ankle_m_s2),
+                    accel_m_s2: self
+                        .moving(shank, samples)
+                        .map(|(moving, sensor)| acceleration_m_s2(&moving, ankle_m - sensor.mount.offset_m)),
                     turns_rad_s: None,
                 });
             }
@@ -54,8 +50,7 @@ impl BodyFilter {
                 }),
             )
         });
-        let shanks = shanks.map(|seen| seen.filter(|(_, learns)| *learns).map(|(seen, _)| seen));
-        Some(Legs { sensor_m, specific_force_m_s2, rests, ankles_m, feet, shanks })
+        Some(Legs { sensor_m, specific_force_m_s2, rests, ankles_m, feet })
     }
 
     /// The sensor that shows this segment now.

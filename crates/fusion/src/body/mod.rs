@@ -98,6 +98,8 @@ pub type BodySamples = [Option<ImuSample>; SEGMENTS];
 
 /// How well people look straight ahead with all of their segments, rad: a heading that somebody asserts is wrong by that.
 const AHEAD_RAD: f64 = 0.05;
+/// Nothing at its end shows how long a shank is: it is to its thigh as in the body that was given. By so much of it people differ in that.
+const CRURAL_SHARE: f64 = 0.03;
 /// Without a sample for so long the last rate goes on, s; then the segment holds still.
 const HOLD_S: f64 = 0.1;
 /// So long after its first sample, or after a gap that the last angular velocity did not bridge, a sensor's orientation is
@@ -315,17 +317,19 @@ impl BodyFilter {
         all
     }
 
-    /// Length of a thigh, an upper arm or a shank as movements have shown it, and its standard deviation, m; `None` for all others, and where it was given as exact.
+    /// Length of a thigh or an upper arm as movements have shown it, and of a shank as its thigh shows it, each with its standard deviation, m; `None` for all others, and where
+    /// it was given as exact.
     fn length_m(&self, segment: BodySegment) -> Option<[f64; 2]> {
-        let learns =
-            |segment: BodySegment| self.sensors[segment.index()].as_ref().is_some_and(Sensor::is_learnt);
+        let limb = Limb::ALL.iter().position(|limb| limb.segments()[1..].contains(&segment))?;
+        let [upper_m, sigma_m] = self.limbs[limb].upper_length_m()?;
         match segment {
-            BodySegment::ShankR => learns(segment).then(|| self.travel.shanks_m()[0]),
-            BodySegment::ShankL => learns(segment).then(|| self.travel.shanks_m()[1]),
-            _ => {
-                let limb = Limb::ALL.iter().position(|limb| limb.segments()[1] == segment)?;
-                self.limbs[limb].upper_length_m()
+            BodySegment::ForearmR | BodySegment::ForearmL => None,
+            BodySegment::ShankR | BodySegment::ShankL => {
+                let share = self.skeleton.shank_m / self.skeleton.thigh_m;
+                let shank_m = share * upper_m;
+                Some([shank_m, libm::hypot(share * sigma_m, CRURAL_SHARE * shank_m)])
             }
+            _ => Some([upper_m, sigma_m]),
         }
     }
 

@@ -19,7 +19,6 @@
 
 mod axis;
 mod contact;
-mod shank;
 #[cfg(test)]
 mod tests;
 
@@ -31,8 +30,6 @@ use super::skeleton::Skeleton;
 use axis::{Axis, POSITION, VELOCITY, foothold};
 use contact::Contact;
 use posed_geometry::GRAVITY_M_S2;
-use shank::Shank;
-pub(super) use shank::ShankSeen;
 
 /// Of a point that stands, from the pelvis, m: posture and skin.
 const POINT_M: f64 = 0.01;
@@ -107,8 +104,6 @@ pub(super) struct Legs {
     pub ankles_m: [Vector3<f64>; 2],
     /// What may stand of the right and the left foot.
     pub feet: [Foot; 2],
-    /// What shows how long both shanks are; `None` where that was given as exact, or is not seen.
-    pub shanks: [Option<ShankSeen>; 2],
 }
 
 /// What may stand of a foot.
@@ -147,7 +142,6 @@ pub(super) struct TravelFilter {
     usual_ball_m: f64,
     heel_m: f64,
     balls: [Ball; 2],
-    shanks: [Shank; 2],
     axes: [Axis; 3],
     begun: bool,
     /// From the hips' mid-point to the pelvis's sensor, as last seen, m.
@@ -179,7 +173,6 @@ impl TravelFilter {
             usual_ball_m: ball_m,
             heel_m,
             balls: [Ball { ahead_m: ball_m, variance_m2: sigma_m * sigma_m }; 2],
-            shanks: [Shank::new(skeleton.shank_m); 2],
             axes: [Axis::new(0.0); 3],
             begun: false,
             sensor_from_hips_m: Vector3::zeros(),
@@ -203,11 +196,6 @@ impl TravelFilter {
     /// From heel to ball, m.
     fn sole_length_m(&self, side: usize) -> f64 {
         self.balls[side].ahead_m + self.heel_m
-    }
-
-    /// Lengths of the right and the left shank as feet that stand have shown them, each with its standard deviation, m.
-    pub(super) fn shanks_m(&self) -> [[f64; 2]; 2] {
-        self.shanks.map(|shank| shank.length_m())
     }
 
     /// Takes the legs of one time, `dt_s` after the last, s; their headings are known to `heading_rad` (standard deviation).
@@ -253,11 +241,6 @@ impl TravelFilter {
             }
             for (which, point) in points.iter().enumerate() {
                 self.stand(side, which, point, &legs.sensor_m, speeds_m_s[which], height_m);
-            }
-            if let Some(seen) = &legs.shanks[side]
-                && let Some(flat) = self.lies_flat(side)
-            {
-                self.shanks[side].push(seen, flat, dt_s);
             }
             if let [Some(heel_m_s), Some(ball_m_s)] = speeds_m_s {
                 self.see_ball(side, heel_m_s.z, ball_m_s.z, dt_s);
@@ -365,13 +348,6 @@ impl TravelFilter {
 
     fn foot_stands(&self, side: usize) -> bool {
         self.contacts[side].iter().take(1 + usize::from(self.soled[side])).any(Contact::stands)
-    }
-
-    /// How likely a foot lies flat, so that its ankle rests; `None` where it does not, has just landed, or wears no sensor: then nobody sees its heel rise.
-    fn lies_flat(&self, side: usize) -> Option<f64> {
-        let points = &self.contacts[side];
-        let flat = self.soled[side] && points.iter().all(|point| point.stands() && point.stood_s > LANDED_S);
-        flat.then(|| points.iter().map(|point| point.probability * point.now).product())
     }
 
     /// A point that stands holds the pelvis's sensor, which is so far from the hips' mid-point, m.

@@ -98,7 +98,6 @@ fn who_squats_stays_and_who_floats_does_not_fly_off() {
             accel_m_s2: Some(Vector3::new(12.0, 0.0, 3.0)),
             turns_rad_s: None,
         }); 2],
-        shanks: [None; 2],
     };
     let mut filter = TravelFilter::new(&Skeleton { foot_m: 0.07, ..Skeleton::from_height(1.8) });
     for frame in 0..60_000 {
@@ -166,7 +165,6 @@ fn thrown(foot_m_s2: f64, turns_rad_s: f64, pelvis_m_s2: f64) -> Legs {
         rests: false,
         ankles_m: [Vector3::new(0.0, -0.1, -0.88), Vector3::new(0.0, 0.1, -0.88)],
         feet,
-        shanks: [None; 2],
     }
 }
 
@@ -212,28 +210,6 @@ fn feet_that_do_not_turn_are_not_loose() {
     assert!(away_m > 0.015 && left_m.abs() < 0.005, "{away_m} {left_m}");
 }
 
-/// An ankle that plays turns its shank about the knee: that shows no length. A shank that turns fast over an ankle that stands does.
-#[test]
-fn a_shank_is_not_shortened_by_an_ankle_that_plays() {
-    let usual_m = 0.44;
-    let mut shank = Shank::new(usual_m);
-    let seen = |turns: f64, true_m: f64| {
-        let by_length = Vector3::new(turns, 0.0, 0.0);
-        ShankSeen { ankle_m_s2: by_length * (usual_m - true_m), length_m: usual_m, by_length }
-    };
-    for frame in 0..6000 {
-        // 1 m/s2 at the ankle, with the knee at rest: as if the shank had no length.
-        let sign = if frame % 20 < 10 { 1.0 } else { -1.0 };
-        shank.push(&seen(sign / usual_m, 0.0), 1.0, 0.01);
-    }
-    assert_eq!(shank.length_m()[0], usual_m);
-    for frame in 0..6000 {
-        let sign = if frame % 20 < 10 { 1.0 } else { -1.0 };
-        shank.push(&seen(8.0 * sign, 0.47), 1.0, 0.01);
-    }
-    assert!((shank.length_m()[0] - 0.47).abs() < 0.005, "{:?}", shank.length_m());
-}
-
 /// Whoever sits with swinging feet stays where he is: the pelvis rests by its own sensor.
 #[test]
 fn who_sits_and_swings_the_feet_stays() {
@@ -251,7 +227,6 @@ fn who_sits_and_swings_the_feet_stays() {
         rests: true,
         ankles_m: [Vector3::new(x_m, -0.1, -0.45), Vector3::new(-x_m, 0.1, -0.45)],
         feet: [foot(x_m), foot(-x_m)],
-        shanks: [None; 2],
     };
     let began_m = filter.push(&sits(0.0), 0.02, 0.01).pelvis_m;
     for frame in 1..12_000 {
