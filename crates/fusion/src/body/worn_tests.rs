@@ -5,7 +5,7 @@ use posed_simulator::body::{Activity, Wearer, WearerSpec};
 use super::block::BlockKind;
 use super::calibrate::calibrate;
 use super::moving::Moving;
-use super::tests::{UNKNOWN, blocks, record, script, spec};
+use super::tests::{UNKNOWN, blocks, record, script, spec, worn};
 use super::worn::{Verdict, Worn};
 use super::*;
 
@@ -120,4 +120,40 @@ fn what_fits_nowhere_is_not_exchanged() {
     assert_eq!(found([0.0, 1.3], [5.6, -6.5]), None);
     let exchanged = found([1.0, -1.0], [-1.4, 1.4]).expect("the feet are on one another's legs");
     assert_eq!(exchanged.taken_from[BodySegment::FootR.index()], BodySegment::FootL.index());
+}
+
+/// Sensors that somebody takes off, and straps on again on the wrong legs while standing, are found as those that poses left there.
+#[test]
+fn sensors_that_are_exchanged_later_are_found() {
+    const EXCHANGED: Pairs = &[[ShankR, ShankL], [BodySegment::FootR, BodySegment::FootL]];
+    let (mut filter, mut wearer, said_s) = walked(&[], Activity::Strolling, 3);
+    assert_eq!(said_s, None);
+    for _ in 0..200 {
+        let mut samples = worn(wearer.step().0);
+        EXCHANGED.iter().flatten().for_each(|segment| samples[segment.index()] = None);
+        filter.push(&samples, 0.01);
+    }
+    let stands = script(Activity::Strolling);
+    let strolls_s = stands.activity_s() + 60.0;
+    let mut wearer = Wearer::new(WearerSpec { clumsiness_rad: 0.03, ..spec(stands, 3) });
+    let said_s = (0..(100.0 * strolls_s) as usize).find(|_| {
+        let mut samples = worn(wearer.step().0);
+        for [one, other] in EXCHANGED.iter().map(|pair| pair.map(BodySegment::index)) {
+            // It sits on the other leg as it sat on its own.
+            let on = |at: usize, own: usize| wearer.mounting(own).0.inverse() * wearer.mounting(at).0;
+            let strapped = |sample: Option<ImuSample>, q: UnitQuaternion<f64>| {
+                sample.map(|sample| ImuSample {
+                    gyro_rad_s: q * sample.gyro_rad_s,
+                    accel_m_s2: q * sample.accel_m_s2,
+                    mag: sample.mag.map(|mag| q * mag),
+                })
+            };
+            let there = strapped(samples[other], on(other, one));
+            samples[other] = strapped(samples[one], on(one, other));
+            samples[one] = there;
+        }
+        filter.push(&samples, 0.01).faults.contains(&Some(Cause::Swapped))
+    });
+    println!("said {:?} frames after it was put on", said_s);
+    assert!(said_s.is_some());
 }
