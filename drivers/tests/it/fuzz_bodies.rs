@@ -98,6 +98,8 @@ fn drivers_bear_anything() {
             fuzzing::polhemus(&input(&mut noise, Some((5, 1)), &[], &crate::matrix::polhemus_binary()));
         published[9] +=
             fuzzing::witmotion(&input(&mut noise, Some((1, 1)), &[], &crate::matrix::witmotion()));
+        let report = crate::matrix::slimevr_report();
+        published[9] += fuzzing::slimevr(&input(&mut noise, None, &report, &report));
         // The messages of one device at the driver of another, and noise.
         let foreign = [noise.bytes(40), items, chain, crate::matrix::x_imu3_binary()].concat();
         let foreign = input(&mut noise, None, &[0xFA, 0xFF, 0x32, 0xFF, 0x01], &foreign);

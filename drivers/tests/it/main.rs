@@ -11,6 +11,7 @@ mod open_imu;
 mod polhemus;
 mod rig;
 mod slimevr;
+mod slimevr_receiver;
 mod vrpn;
 mod witmotion;
 mod x_imu3;

@@ -14,6 +14,7 @@ use posed_drivers::flock::wire as flock;
 use posed_drivers::motionstar::wire as birdnet;
 use posed_drivers::open_imu::wire::{self as open_imu, csv, json, osc};
 use posed_drivers::polhemus::wire as polhemus;
+use posed_drivers::slimevr::hid;
 use posed_drivers::slimevr::wire as slime;
 use posed_drivers::vrpn::reader::{Piece, Reader};
 use posed_drivers::vrpn::wire as vrpn_wire;
@@ -348,6 +349,19 @@ fn decode_open_imu_lines(pieces: &[&[u8]]) -> Vec<String> {
                 csv::find(lines.line(line), false)
             {
                 out.push(format!("{id} {motion:?}"));
+/// A report of a receiver, in its envelope.
+pub(crate) fn slimevr_report() -> Vec<u8> {
+    let registration = hid::registration(0, [0xC0, 0xFF, 0xEE, 0x12, 0x34, 0x56]);
+    let motion = hid::full(0, [0.5, 0.5, -0.5, 0.5], [1.0, -2.5, 0.5]);
+    Datagram { peer: hid::RECEIVER, data: &[registration, motion].concat() }.encode()
+}
+
+fn decode_slimevr_report(pieces: &[&[u8]]) -> Vec<String> {
+    let mut out = Vec::new();
+    for datagram in pieces.iter().flat_map(|piece| datagrams(piece)).flatten() {
+        for packet in hid::packets(datagram.data).into_iter().flatten().flatten() {
+            if let hid::Contents::Motion { .. } = packet.contents {
+                out.push(format!("{packet:?}"));
             }
         }
     }
@@ -434,6 +448,7 @@ fn decoders() -> Vec<Decoder> {
         }),
         Decoder { has_checksum: true, lost_after: 0, ..stream("witmotion", witmotion(), decode_witmotion) },
         Decoder { preamble: vrpn_greeting(), ..stream("vrpn", vrpn(), decode_vrpn) },
+        Decoder { is_stream: false, ..stream("slimevr receiver", slimevr_report(), decode_slimevr_report) },
         Decoder {
             is_stream: false,
             ..stream("slimevr", Datagram { peer, data: &motion }.encode(), decode_slimevr)

@@ -4,6 +4,8 @@
 //! questions about stations and who it is, errors of commands that are none. The physics are those of every magnetic tracker here.
 
 mod command;
+#[cfg(test)]
+mod tests;
 
 use std::time::Duration;
 

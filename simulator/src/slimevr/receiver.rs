@@ -212,3 +212,86 @@ impl Unit for Receiver {
         true
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use posed_drivers::slimevr::{Settings, SlimeVrSession};
+    use posed_drivers::{Measurement, Session, State};
+
+    use crate::faults::{Bytes, Fault};
+    use crate::inertial::ImuClass;
+    use crate::scenario::DeviceScenario;
+    use crate::testing::{Pair, scenario_of, stage_of};
+
+    fn pair(faults: Vec<Fault>) -> Pair<SlimeVrSession> {
+        let session = SlimeVrSession::new(Settings::default(), &[1, 2, 3]).unwrap();
+        let device = DeviceScenario { imu: ImuClass::Mtx, faults, ..DeviceScenario::default() };
+        Pair::new(&stage_of("slimevr", "/dev/hidraw0", 115_200, &[1, 2, 3]), &scenario_of(device), session)
+    }
+
+    /// Samples that are not what was true about when they were read: the tracker's own filter wanders by a few degrees.
+    fn wrong(pair: &Pair<SlimeVrSession>) -> usize {
+        let is_true = |sample: &&posed_drivers::Sample| {
+            let Measurement::Imu { orientation_wxyz: Some(q), .. } = sample.measurement else { return false };
+            let (t, _) = pair.truth_of(sample);
+            let rows = pair.truth.iter().filter(|cycle| t.seconds_since(cycle.t).abs() < 0.6);
+            let mut rows = rows
+                .flat_map(|cycle| &cycle.sensors)
+                .filter(|row| row.sensor == usize::from(sample.address) - 1);
+            rows.any(|row| tilt_between(q, &row.pose.rotation) < 0.12)
+        };
+        pair.samples.iter().filter(|sample| !is_true(sample)).count()
+    }
+
+    /// Angle between the directions of up: a tracker's heading is its own.
+    fn tilt_between([w, x, y, z]: [f64; 4], truth: &nalgebra::UnitQuaternion<f64>) -> f64 {
+        let q = nalgebra::UnitQuaternion::new_normalize(nalgebra::Quaternion::new(w, x, y, z));
+        let up = nalgebra::Vector3::z();
+        (q.inverse() * up).angle(&(truth.inverse() * up))
+    }
+
+    #[test]
+    fn trackers_are_registered_and_stream_what_is_true() {
+        let mut pair = pair(vec![]);
+        pair.run_until(2.0);
+        assert_eq!(*pair.session.state(), State::Streaming, "{:?}", pair.warnings);
+        pair.forget();
+        pair.run_until(4.0);
+        for address in 1..=3 {
+            assert!(pair.samples_of(address).len().abs_diff(200) <= 2, "{}", pair.samples_of(address).len());
+        }
+        assert_eq!(wrong(&pair), 0);
+        let conditions = pair.session.conditions();
+        assert!(
+            conditions.iter().all(|of| of.signal_dbm == Some(-55.0) && of.battery == Some(0.9)),
+            "{conditions:?}"
+        );
+    }
+
+    #[test]
+    fn radio_loss_a_pulled_receiver_and_dead_batteries_make_no_wrong_pose() {
+        let bytes = Bytes { count: 100, start_s: 3.0, end_s: 8.0 };
+        for fault in [
+            Fault::LostDatagrams(bytes),
+            Fault::DuplicatedDatagrams(bytes),
+            Fault::DelayedDatagrams { at_s: 4.0, duration_s: 0.5 },
+            Fault::LostPeriods { at_s: 4.0, count: 30 },
+            Fault::WrongOutput { at_s: 4.0, duration_s: Some(1.0) },
+            Fault::BirdDies { address: 2, at_s: 3.0, duration_s: Some(5.0) },
+            Fault::Unplug { at_s: 4.0, duration_s: Some(1.0), power: true },
+            Fault::Stall { at_s: 4.0, duration_s: 1.0 },
+            Fault::LowBattery { address: 1, at_s: 4.0 },
+            Fault::Error { address: 1, at_s: 4.0, code: 0, detail: 0 },
+            Fault::Button { address: 1, at_s: 4.0 },
+        ] {
+            let mut pair = pair(vec![fault.clone()]);
+            pair.run_until(10.0);
+            assert_eq!(*pair.session.state(), State::Streaming, "{fault:?}");
+            for address in 1..=3 {
+                let last = *pair.samples_of(address).last().unwrap();
+                assert!(pair.now.seconds_since(last.arrival.t_read) < 0.05, "{fault:?}");
+            }
+            assert_eq!(wrong(&pair), 0, "{fault:?}");
+        }
+    }
+}

@@ -3,6 +3,9 @@
 //! What comes in: five-byte commands that write and read registers. What goes out: groups of frames at the rate that is set, and
 //! the registers that were asked for. Registers are locked; what is written into a locked one is lost without a word.
 
+#[cfg(test)]
+mod tests;
+
 use std::time::Duration;
 
 use posed_drivers::Timestamp;

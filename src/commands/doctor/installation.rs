@@ -18,7 +18,7 @@ const RULES: &str = "usr/lib/udev/rules.d/60-posed.rules";
 /// Something that was looked at.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Finding {
-    /// What it is about: `serial_rights`, `latency`, `stage` or `service`.
+    /// What it is about: `serial_rights`, `latency`, `polhemus_usb`, `stage` or `service`.
     pub(super) check: &'static str,
     /// What is wrong; absent where nothing is.
     pub(super) problem: Option<String>,
@@ -33,6 +33,7 @@ pub(super) fn look(root: &Path, ports: &[String]) -> Vec<Finding> {
         findings.push(serial_rights(ports));
     }
     findings.extend(latencies(root));
+    findings.extend(polhemus(root));
     if root.join(UNIT).exists() {
         findings.extend(stage(root));
         findings.push(service(root));
@@ -87,6 +88,33 @@ fn latencies(root: &Path) -> Vec<Finding> {
         })
     };
     names.iter().filter_map(finding).collect()
+}
+
+/// Polhemus units at USB, which is not read; those that have not got their firmware have another product number.
+fn polhemus(root: &Path) -> Vec<Finding> {
+    let Ok(devices) = std::fs::read_dir(root.join("sys/bus/usb/devices")) else { return Vec::new() };
+    let mut paths: Vec<_> = devices.filter_map(|device| Some(device.ok()?.path())).collect();
+    paths.sort();
+    let id = |path: &Path, file| {
+        std::fs::read_to_string(path.join(file)).unwrap_or_default().trim().to_lowercase()
+    };
+    let polhemus = paths.iter().filter(|path| id(path, "idVendor") == "0f44");
+    polhemus
+        .map(|path| {
+            let product = id(path, "idProduct");
+            let name = match product.as_str() {
+                "ff20" | "ff21" | "ff11" | "ff12" => "Polhemus Liberty",
+                "ef20" | "ef21" | "ef11" | "ef12" => "Polhemus Patriot",
+                _ => "Polhemus unit",
+            };
+            let problem = format!("a {name} is plugged in at USB (0f44:{product}), which is not read");
+            bad(
+                "polhemus_usb",
+                problem,
+                "connect its RS-232 port, with a null-modem cable where its manual says so",
+            )
+        })
+        .collect()
 }
 
 /// Whether the service's stage file is right, and nobody's but the service's; nothing where it is not this user's to read.
@@ -148,6 +176,12 @@ mod tests {
         let root = root.path();
         put(root, "sys/bus/usb-serial/devices/ttyUSB0/latency_timer", "16\n");
         put(root, "sys/bus/usb-serial/devices/ttyUSB1/latency_timer", "1\n");
+        put(root, "sys/bus/usb/devices/1-2/idVendor", "0f44\n");
+        put(root, "sys/bus/usb/devices/1-2/idProduct", "ff20\n");
+        put(root, "sys/bus/usb/devices/1-3/idVendor", "1209\n");
+        let liberty = problems(root).remove(2);
+        assert!(liberty.1.unwrap().contains("Polhemus Liberty"));
+        std::fs::remove_dir_all(root.join("sys/bus/usb/devices/1-2")).unwrap();
         put(root, UNIT, "");
         let found = problems(root);
         assert_eq!(found[0], ("latency", Some("the adapter of ttyUSB0 collects bytes for 16 ms".into())));
