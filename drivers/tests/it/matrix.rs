@@ -349,6 +349,12 @@ fn decode_open_imu_lines(pieces: &[&[u8]]) -> Vec<String> {
                 csv::find(lines.line(line), false)
             {
                 out.push(format!("{id} {motion:?}"));
+            }
+        }
+    }
+    out
+}
+
 /// A report of a receiver, in its envelope.
 pub(crate) fn slimevr_report() -> Vec<u8> {
     let registration = hid::registration(0, [0xC0, 0xFF, 0xEE, 0x12, 0x34, 0x56]);

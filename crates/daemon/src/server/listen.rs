@@ -14,7 +14,7 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::time::timeout;
-use tokio_rustls::TlsAcceptor;
+use tokio_rustls::{TlsAcceptor, rustls};
 
 use super::access::Access;
 use super::budget::Metered;
@@ -110,8 +110,10 @@ pub(super) async fn accept(
                     Some(tls) => {
                         match timeout(seconds(context.limits.greeting_timeout_s), tls.accept(stream)).await {
                             Ok(Ok(stream)) => serve(stream, app, &context, &slot).await,
-                            Ok(Err(_)) => {
-                                slot.breach();
+                            Ok(Err(error)) => {
+                                if !is_leave(&error) {
+                                    slot.breach();
+                                }
                                 context.metrics.refuse("tls");
                             }
                             Err(_) => context.metrics.refuse("timeout"),
@@ -125,6 +127,14 @@ pub(super) async fn accept(
             }
         });
     }
+}
+
+/// Whether a handshake has ended because the other side left it: browsers do at a certificate that they do not know, and come again once
+/// somebody has told them to go on.
+fn is_leave(error: &std::io::Error) -> bool {
+    let inner = error.get_ref().and_then(|inner| inner.downcast_ref::<rustls::Error>());
+    matches!(inner, Some(rustls::Error::AlertReceived(_)))
+        || matches!(error.kind(), ErrorKind::UnexpectedEof | ErrorKind::ConnectionReset)
 }
 
 /// The next connection, which hands over what is written without waiting for more.

@@ -293,6 +293,17 @@ mod tests {
     }
 
     #[test]
+    fn answers_that_a_phone_does_not_take_are_left_out() {
+        let gate = Gate::default();
+        let mut told = gate.enter(peer(1)).unwrap();
+        for n in 0..2 * WAITING {
+            gate.transmit(&Datagram { peer: peer(1), data: n.to_string().as_bytes() }.encode());
+        }
+        let taken = std::iter::from_fn(|| told.told.try_recv().ok()).count();
+        assert_eq!(taken, WAITING);
+    }
+
+    #[test]
     fn there_are_no_more_connections_than_devices() {
         let gate = Gate::default();
         let mut all: Vec<_> = (0..64).map(|port| gate.enter(peer(port)).unwrap()).collect();
