@@ -7,6 +7,7 @@ pub(crate) mod calibration;
 mod console;
 mod looks;
 mod people;
+mod phone;
 mod report;
 mod screens;
 mod setup;

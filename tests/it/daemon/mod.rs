@@ -9,6 +9,7 @@ mod exercises;
 mod faults;
 mod library;
 mod parts;
+pub(crate) mod phones;
 mod plug;
 pub(crate) mod process;
 mod recordings;
