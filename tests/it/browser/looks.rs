@@ -165,8 +165,7 @@ async fn the_main_views_look_as_their_kept_pictures() {
     let path = folder.path().join("curls.mcap");
     take(&path);
     let mut looks = Looks::open().await;
-    // So slowly that it does not end before the page is there.
-    let posed = Posed::start(["replay", path.to_str().unwrap(), "--speed", "0.1"]);
+    let posed = Posed::start(["replay", path.to_str().unwrap()]);
     let mut browser = Browser::open(&format!("http://{}/#watch", posed.address)).await;
     browser.until("document.getElementById('timeline')?.ariaValueMax > 9").await;
     settle(&mut browser, SCREEN, "dark").await;
