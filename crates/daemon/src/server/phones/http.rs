@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use axum::Router;
 use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{Extension, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
@@ -59,7 +60,7 @@ async fn websocket(
     slot: SlotOf,
     headers: HeaderMap,
     uri: Uri,
-    upgrade: WebSocketUpgrade,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Response {
     let Served { phones, context, token } = served;
     let slot = slot.ok().map(|Extension(slot)| slot);
@@ -78,6 +79,11 @@ async fn websocket(
     if let Err((reason, refusal)) = admitted {
         return refuse(&context, reason, refusal);
     }
+    // Only now: a page that was refused asks over HTTP why.
+    let upgrade = match upgrade {
+        Ok(upgrade) => upgrade,
+        Err(rejection) => return rejection.into_response(),
+    };
     let upgrade = bounded(upgrade, &context).max_message_size(MESSAGE_BYTES).max_frame_size(MESSAGE_BYTES);
     let upgrade = upgrade.protocols([SUBPROTOCOL]);
     let full = |sentence: String| refuse(&context, "limit", (StatusCode::SERVICE_UNAVAILABLE, sentence));
