@@ -363,7 +363,7 @@ const TABLES: [&str; 8] = [
 const OF_A_HUB: &str = r#"{"type":"subscribe","id":1,"topics":["sensors"],"stages":["s"]}"#;
 
 /// The stage files of the documents, and the demo's with its scenario.
-const STAGES: [(&str, &str); 13] = [
+const STAGES: [(&str, &str); 14] = [
     ("demo", include_str!("../../../config/demo.toml")),
     ("fastrak", include_str!("../../../config/fastrak.toml")),
     ("slimevr-receiver", include_str!("../../../config/slimevr-receiver.toml")),
