@@ -61,12 +61,15 @@ fn faults(rate_hz: f64, seconds: f64) -> Vec<Fault> {
     std::iter::once(lost).chain((0..COUNT).map(leaves)).collect()
 }
 
+/// Of a sample: host time of coming, ticks, capture time, stated deviation, and whether it is late.
+type Stamped = (f64, u64, f64, f64, bool);
+
 /// What a session and its clocks make of the same bytes as the pipeline.
 struct Mirror {
     session: OpenImuSession,
     clocks: BTreeMap<u16, RadioClock>,
-    /// By address: host time of coming, ticks, capture time, stated deviation, and whether it is late.
-    stamps: BTreeMap<u16, Vec<(f64, u64, f64, f64, bool)>>,
+    /// By address.
+    stamps: BTreeMap<u16, Vec<Stamped>>,
     /// By sensor: when it measured.
     truth: BTreeMap<usize, Vec<f64>>,
 }

@@ -164,8 +164,9 @@ async fn a_wrong_sign_is_found_by_the_guided_test_and_a_wrong_token_is_refused()
     phone.complaints.clear();
     // As some browsers have it: acceleration with the other sign.
     let inverted = |held: Held| Held { acceleration_m_s2: held.acceleration_m_s2.map(|part| -part), ..held };
-    hold(&mut phone, inverted(FLAT)).await;
     go(&mut phone, &page).await;
+    // Not before: a page that is loaded anew begins with what the one before began with.
+    hold(&mut phone, inverted(FLAT)).await;
     phone.click("phone-start").await;
     phone.click("phone-guide").await;
     for (step, on_the_way, then) in
