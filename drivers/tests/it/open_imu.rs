@@ -453,7 +453,7 @@ impl Device for Board {
         if self.on && self.next <= now {
             self.next = now + Duration::from_millis(10);
             let t_us = (now.seconds_since(self.epoch) * 1e6) as u64;
-            if self.n % 500 == 0 {
+            if self.n.is_multiple_of(500) {
                 self.queue.push_back(b"boot ok\r\n".to_vec());
                 self.queue.push_back(csv::line(&format!("H,{ID},1,Left thigh,x,100,us,32")));
             }

@@ -99,8 +99,8 @@ fn at(station: u8, frame: u32) -> Record {
         status: b' ',
         time_ms: 1000 + frame * 1000 / 240,
         frame,
-        position_m: [0.5 + 0.1 * angle.sin(), 0.1 * angle.cos(), f64::from(station) * 0.05],
-        orientation_wxyz: [(0.5 * angle).cos(), 0.0, (0.5 * angle).sin(), 0.0],
+        position_m: [0.5 + 0.1 * libm::sin(angle), 0.1 * libm::cos(angle), f64::from(station) * 0.05],
+        orientation_wxyz: [libm::cos(0.5 * angle), 0.0, libm::sin(0.5 * angle), 0.0],
         button: None,
     }
 }

@@ -1,5 +1,6 @@
 //! SlimeVR by radio: the worked examples of a receiver's reports, and the session with them.
 
+use std::f64::consts::FRAC_1_SQRT_2;
 use std::time::Duration;
 
 use posed_drivers::datagram::Datagram;
@@ -63,7 +64,7 @@ fn worked_examples() {
     assert_eq!(button("06 00 00 01 00 00 00 00 00 00 00 00 00 00 00 34"), (0, true));
     let h9 = packet("07 00 00 30 75 FF 02 10 80 00 00 00 00 00 00 34");
     let Contents::Motion { orientation_wxyz, button: Some(button), .. } = h9.contents else { panic!() };
-    assert!(near(orientation_wxyz, [0.7071, 0.7071, 0.0, 0.0], 2.5e-3) && !button.switches_off);
+    assert!(near(orientation_wxyz, [FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0, 0.0], 2.5e-3) && !button.switches_off);
 }
 
 #[test]
@@ -93,7 +94,7 @@ proptest! {
                 panic!()
             };
             let dot: f64 = q.iter().zip(orientation_wxyz).map(|(a, b)| a * b).sum();
-            (2.0 * dot.abs().min(1.0).acos()).to_degrees()
+            (2.0 * libm::acos(dot.abs().min(1.0))).to_degrees()
         };
         prop_assert!(angle_deg(hid::reduced(1, q, [0.0; 3], [0, 0], 50)) < 0.43);
         prop_assert!(angle_deg(hid::full(1, q, [0.0; 3])) < 0.01);
@@ -236,7 +237,7 @@ fn damaged_reports_make_no_wrong_pose() {
         let macs = [MAC, [0xA1, 0xB2, 0xC3, 0xD4, 0xE5, 0xF6]];
         let report = |n: i16| {
             let angle = 0.01 * f64::from(n);
-            let q = |k: f64| [(angle + k).cos(), (angle + k).sin(), 0.0, 0.0];
+            let q = |k: f64| [libm::cos(angle + k), libm::sin(angle + k), 0.0, 0.0];
             let registration = hid::registration((n % 2) as u8, macs[usize::from(n % 2 == 1)]);
             [
                 registration,
@@ -257,7 +258,7 @@ fn damaged_reports_make_no_wrong_pose() {
             let Measurement::Imu { orientation_wxyz: Some(q), .. } = sample.measurement else { return false };
             (0..150).any(|n| {
                 let angle = 0.01 * f64::from(n) + f64::from(sample.address - 1);
-                near(q, [angle.cos(), angle.sin(), 0.0, 0.0], 1e-3)
+                near(q, [libm::cos(angle), libm::sin(angle), 0.0, 0.0], 1e-3)
             })
         };
         wrong += radio.samples.iter().filter(|sample| !is_true(sample)).count();

@@ -86,7 +86,7 @@ enum Writes {
 /// What a sensor measures as its `n`-th sample.
 fn measured(n: u32, writes: Writes) -> Group {
     let angle = 0.02 * f64::from(n);
-    let (roll, pitch, yaw) = (0.3 * angle.sin(), 0.2 * angle.cos(), 0.5 * angle.sin());
+    let (roll, pitch, yaw) = (0.3 * libm::sin(angle), 0.2 * libm::cos(angle), 0.5 * libm::sin(angle));
     let [w, x, y, z] = posed_drivers::flock::wire::rotation::from_angles([yaw, pitch, roll]);
     Group {
         specific_force_m_s2: [0.1 * f64::from(n % 7), 0.0, 9.81],

@@ -171,10 +171,11 @@ fn first(mut arguments: Arguments<'_>) -> Result<Argument<'_>, Refused> {
     arguments.next().ok_or(Refused)?
 }
 
+/// Number, time, values and how many of these there are.
+type Numbered<const N: usize> = (Option<u32>, Option<Time>, [f32; N], usize);
+
 /// Number and time, and so many values behind them at least; a value more than the second number is refused by its form.
-fn numbered<const N: usize>(
-    mut arguments: Arguments<'_>,
-) -> Result<(Option<u32>, Option<Time>, [f32; N], usize), Refused> {
+fn numbered<const N: usize>(mut arguments: Arguments<'_>) -> Result<Numbered<N>, Refused> {
     let number = first(arguments)?.int().ok_or(Refused)? as u32;
     arguments.next();
     let time = arguments.next().ok_or(Refused)??.time().ok_or(Refused)?;
