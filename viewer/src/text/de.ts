@@ -226,7 +226,7 @@ export const de: Text = {
     stageName: "Name der Stage", next: (step: string) => `Weiter: ${step}`,
     unsavedLabel: "Änderungen der Stage", unsaved: (n: number) => count(n, "Änderung ist noch nicht gespeichert.", "Änderungen sind noch nicht gespeichert."), discard: "Verwerfen", save: "Speichern und starten", restarts: "Gespeichert: Die Stage beginnt neu …",
     saveHelp: (file: string) => `Schreibt ${file}, behält die bisherige als ${file}~ und beginnt die geänderte Stage`,
-    plugged: "Was angesteckt ist", look: "Geräte suchen", looking: "Sucht …", lookHelp: "Fragt jeden seriellen Anschluss und das Netz, was dort ist. Das dauert bis zu 20 s; geändert wird dabei nichts.",
+    plugged: "Was angesteckt ist", look: "Geräte suchen", looking: "Sucht …", lookHelp: "Fragt jeden seriellen Anschluss und das Netz, was dort ist. Das dauert bis zu einer halben Minute; geändert wird dabei nichts.",
     addAll: (n: number) => `Alle ${n} hinzufügen`, addNamed: (kind: string, port: string) => `${kind} an ${port} hinzufügen`, inStage: "in der Stage", silent: (n: number) => count(n, "Anschluss, an dem nichts antwortet", "Anschlüsse, an denen nichts antwortet"),
     address: "Im Netz, unter", ask: "Dort fragen", stageHas: "Geräte der Stage", noDevice: "Noch keines: Geräte suchen, dann Hinzufügen drücken.", deviceName: (name: string) => `Name des Geräts ${name}`,
     kinds: { "flock-of-birds": "Flock of Birds", motionstar: "MotionStar", fastrak: "Fastrak", polhemus: "Polhemus Liberty oder Patriot", witmotion: "WitMotion-Sensor", xbus: "Xsens-Gerät", "x-imu3": "x-IMU3", slimevr: "SlimeVR-Tracker", vrpn: "VRPN-Server", "open-imu": "Platinen und Handys" },

@@ -231,7 +231,7 @@ export const en = {
     stageName: "Name of the stage", next: (step: string) => `Next: ${step}`,
     unsavedLabel: "Changes of the stage", unsaved: (n: number) => count(n, "change is not saved yet.", "changes are not saved yet."), discard: "Discard", save: "Save and start", restarts: "Saved: the stage begins anew …",
     saveHelp: (file: string) => `Writes ${file}, keeps the one before as ${file}~, and begins the changed stage`,
-    plugged: "What is plugged in", look: "Look for devices", looking: "Looking …", lookHelp: "Asks every serial port, and the network, what is there. It takes up to 20 s; nothing is changed by it.",
+    plugged: "What is plugged in", look: "Look for devices", looking: "Looking …", lookHelp: "Asks every serial port, and the network, what is there. It takes up to half a minute; nothing is changed by it.",
     addAll: (n: number) => `Add all ${n}`, addNamed: (kind: string, port: string) => `Add ${kind} at ${port}`, inStage: "in the stage", silent: (n: number) => count(n, "port where nothing answers", "ports where nothing answers"),
     address: "On the network, at", ask: "Ask there", stageHas: "Devices of the stage", noDevice: "None yet: look for devices, then press Add.", deviceName: (name: string) => `Name of device ${name}`,
     kinds: { "flock-of-birds": "Flock of Birds", motionstar: "MotionStar", fastrak: "Fastrak", polhemus: "Polhemus Liberty or Patriot", witmotion: "WitMotion sensor", xbus: "Xsens device", "x-imu3": "x-IMU3", slimevr: "SlimeVR trackers", vrpn: "VRPN server", "open-imu": "Boards and phones" },

@@ -13,7 +13,7 @@ use posed_protocol::{FoundPort, FoundSensor};
 use posed_stage::PortAddress;
 
 /// How long all questions together may take.
-pub const LIMIT: Duration = Duration::from_millis(22_500);
+pub const LIMIT: Duration = Duration::from_millis(26_500);
 /// Longest that one question to a line takes, a Flock's reset apart.
 const QUESTION: Duration = Duration::from_millis(1600);
 
