@@ -86,7 +86,7 @@ enum Identity {
     /// That of the stage file.
     Files(Tls),
     /// Its own.
-    Own(Certificates),
+    Own(Box<Certificates>),
 }
 
 impl Identity {
@@ -228,7 +228,7 @@ impl Phones {
         let token = secret::token(&inner.folder).map_err(PhoneError::Token)?;
         let identity = match &inner.settings.tls {
             Some(files) => Identity::Files(files.clone()),
-            None => Identity::Own(Certificates::open(&inner.folder, inner.utc_ns())?),
+            None => Identity::Own(Box::new(Certificates::open(&inner.folder, inner.utc_ns())?)),
         };
         let host = announce::host_name();
         let addresses = reachable();
