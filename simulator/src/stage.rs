@@ -72,7 +72,6 @@ pub struct Event {
 
 /// What is between a device and its host.
 #[derive(Debug)]
-#[expect(clippy::large_enum_variant, reason = "there is one for each device")]
 pub(crate) enum Link {
     /// A serial line, or a TCP connection: a stream of bytes.
     Line(Line),

@@ -368,7 +368,8 @@ impl Unit for OpenImu {
         let board = &mut self.boards[k];
         if board.next_hello <= t {
             let is_browser = board.carrier == Carrier::Browser;
-            let says = !is_quiet && !(is_browser && board.is_connected);
+            let knows_already = is_browser && board.is_connected;
+            let says = !is_quiet && !knows_already;
             board.next_hello = t + if is_browser { CONNECT } else { HELLO };
             if says {
                 let hello = board.hello();

@@ -277,9 +277,9 @@ impl Parts<'_> {
                 let imu = self.imu(address, |errors| FilterErrors { any_heading: true, ..errors })?;
                 Some(((address >> 8) as u8, imu))
             });
-            (number, id.unwrap_or_else(|| format!("device-{number}")), sensors.collect())
+            (number, id.unwrap_or_else(|| format!("device-{number}")), sensors.collect::<Vec<_>>())
         });
-        let devices: Vec<(u16, String, Vec<(u8, Imu)>)> = devices.collect();
+        let devices: Vec<_> = devices.collect();
         Ok(Powered::new(self.config(), self.random(), |chassis| {
             let boards = devices
                 .into_iter()
