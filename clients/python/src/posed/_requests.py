@@ -12,6 +12,7 @@ from ._schema import (
     FaultClass,
     Forgotten,
     HealthHistory,
+    Invitation,
     KeptFile,
     Labels,
     ListedSessions,
@@ -19,6 +20,7 @@ from ._schema import (
     MapVersion,
     Model,
     People,
+    Phones,
     Plan,
     Plans,
     RecordingBegun,
@@ -427,6 +429,16 @@ streams is stopped by the question; nothing else is changed.
         """
         return cast(Started, await self.request({"type": "setup.find", "port": port}))
 
+    async def phone_invite(self) -> Invitation:
+        """Lets phones come as sensors, and says how: an address with a token that allows only this, as a text and as a
+        QR code. The daemon listens there from then on.
+        """
+        return cast(Invitation, await self.request({"type": "phone.invite"}))
+
+    async def phone_list(self) -> Phones:
+        """The phones and other devices that are connected to the websocket `/imu` just now."""
+        return cast(Phones, await self.request({"type": "phone.list"}))
+
     async def job_cancel(self, job: int) -> None:
         """Cancels a job.
 
@@ -828,6 +840,16 @@ streams is stopped by the question; nothing else is changed.
             and the units that announce themselves on the network.
         """
         return cast(Started, self.request({"type": "setup.find", "port": port}))
+
+    def phone_invite(self) -> Invitation:
+        """Lets phones come as sensors, and says how: an address with a token that allows only this, as a text and as a
+        QR code. The daemon listens there from then on.
+        """
+        return cast(Invitation, self.request({"type": "phone.invite"}))
+
+    def phone_list(self) -> Phones:
+        """The phones and other devices that are connected to the websocket `/imu` just now."""
+        return cast(Phones, self.request({"type": "phone.list"}))
 
     def job_cancel(self, job: int) -> None:
         """Cancels a job.

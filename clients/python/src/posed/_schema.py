@@ -34,7 +34,7 @@ class AnchorSpec(TypedDict):
     """From when, stream time, s."""
 
 
-Answer: TypeAlias = "Resumed | RecordingBegun | Started | Forgotten | Recordings | Tracked | Takes | Digested | Removed | Look | Labels | HealthHistory | Exercises | Demonstration | MapVersion | Setup | KeptFile | SessionBegun | ListedSessions | Shown | Report | People | Plans | Renamed"
+Answer: TypeAlias = "Resumed | RecordingBegun | Started | Forgotten | Recordings | Tracked | Takes | Digested | Removed | Look | Labels | HealthHistory | Exercises | Demonstration | MapVersion | Setup | Invitation | Phones | KeptFile | SessionBegun | ListedSessions | Shown | Report | People | Plans | Renamed"
 """What a request was answered with; which one gets which: `Answers`. All others are answered with `ok` alone."""
 
 
@@ -59,6 +59,8 @@ Answers = TypedDict(
         "library.remove": "Renamed",
         "library.rename": "Renamed",
         "library.restore": "Renamed",
+        "phone.invite": "Invitation",
+        "phone.list": "Phones",
         "record.start": "RecordingBegun",
         "replay.label": "Labels",
         "replay.labels": "Labels",
@@ -854,6 +856,26 @@ class CallSetupFind(TypedDict):
     type: Literal["setup.find"]
 
 
+class CallPhoneInvite(TypedDict):
+    """Lets phones come as sensors, and says how: an address with a token that allows only this, as a text and as a QR
+    code. The daemon listens there from then on.
+    """
+
+    id: RequestId
+    """The reply carries it."""
+
+    type: Literal["phone.invite"]
+
+
+class CallPhoneList(TypedDict):
+    """The phones and other devices that are connected to the websocket `/imu` just now."""
+
+    id: RequestId
+    """The reply carries it."""
+
+    type: Literal["phone.list"]
+
+
 class CallJobCancel(TypedDict):
     """Cancels a job."""
 
@@ -878,7 +900,7 @@ class CallModelLoad(TypedDict):
     type: Literal["model.load"]
 
 
-Call: TypeAlias = "CallRecordStart | CallRecordStop | CallMark | CallReplayList | CallReplayOpen | CallReplayTrack | CallReplaySeek | CallReplaySpeed | CallReplayLook | CallReplayLabels | CallReplayLabel | CallLibraryList | CallLibraryDigest | CallLibraryRename | CallLibraryRemove | CallLibraryRestore | CallLibraryEmptyBin | CallLibraryExport | CallHealthHistory | CallFieldStart | CallFieldFinish | CallFieldAccept | CallFieldRollback | CallExerciseList | CallExerciseDemonstration | CallExerciseTeach | CallExerciseSelect | CallExerciseReset | CallFaultsTrain | CallFaultsNameCell | CallSegmentsTrain | CallBodyCalibrate | CallHeadingReset | CallStageAlign | CallImuCalibrate | CallSessionBegin | CallSessionEnd | CallSessionList | CallSessionShow | CallSessionReport | CallSessionCorrect | CallSessionPeople | CallSessionForget | CallSessionPlans | CallSessionSavePlan | CallSessionDeletePlan | CallSetupRead | CallSetupSave | CallSetupFind | CallJobCancel | CallModelLoad"
+Call: TypeAlias = "CallRecordStart | CallRecordStop | CallMark | CallReplayList | CallReplayOpen | CallReplayTrack | CallReplaySeek | CallReplaySpeed | CallReplayLook | CallReplayLabels | CallReplayLabel | CallLibraryList | CallLibraryDigest | CallLibraryRename | CallLibraryRemove | CallLibraryRestore | CallLibraryEmptyBin | CallLibraryExport | CallHealthHistory | CallFieldStart | CallFieldFinish | CallFieldAccept | CallFieldRollback | CallExerciseList | CallExerciseDemonstration | CallExerciseTeach | CallExerciseSelect | CallExerciseReset | CallFaultsTrain | CallFaultsNameCell | CallSegmentsTrain | CallBodyCalibrate | CallHeadingReset | CallStageAlign | CallImuCalibrate | CallSessionBegin | CallSessionEnd | CallSessionList | CallSessionShow | CallSessionReport | CallSessionCorrect | CallSessionPeople | CallSessionForget | CallSessionPlans | CallSessionSavePlan | CallSessionDeletePlan | CallSetupRead | CallSetupSave | CallSetupFind | CallPhoneInvite | CallPhoneList | CallJobCancel | CallModelLoad"
 """Requests for the daemon. All but those that only tell something need the role `operate`: `replay.list`,
 `replay.track`, `replay.look`, `replay.labels`, `library.list`, `library.digest` without `make`, `health.history`,
 `exercise.list` and `exercise.demonstration`.
@@ -2274,6 +2296,27 @@ class Intrinsics(TypedDict):
     """
 
 
+class Invitation(TypedDict):
+    """How a phone comes."""
+
+    authority: str | None
+    """What the daemon's own authority is called, which a phone may be told to trust; null where the stage file names a
+    certificate.
+    """
+
+    fingerprint: str
+    """The SHA-256 fingerprint of the authority's certificate; empty where the stage file names a certificate."""
+
+    others: list[str]
+    """The same page by the other addresses and the name of this computer."""
+
+    page: str
+    """The page to open on the phone, with the token for sensors behind `#`."""
+
+    qr: QrCode
+    """`page` as a QR code."""
+
+
 class Job(TypedDict):
     """A long job."""
 
@@ -2867,6 +2910,35 @@ Phase: TypeAlias = 'Literal["provisional", "confirmed", "withdrawn"]'
 """How final an event is that can be taken back."""
 
 
+class Phone(TypedDict):
+    """One that is connected."""
+
+    adds: list[StageChange]
+    """The changes that make it one, without a segment; none where it is one."""
+
+    orientation_wxyz: list[float] | None
+    """How it is held, as it reports that itself: its axes in a world whose z is up; null where it has not."""
+
+    peer: str
+    """Where it is connected from."""
+
+    phone_id: str
+    """What it calls itself for good."""
+
+    phone_name: str
+    """Its name, for people; may be empty."""
+
+    sensor: str | None
+    """The stage's sensor that it is, by name; null: none yet."""
+
+
+class Phones(TypedDict):
+    """What is connected to the websocket `/imu`."""
+
+    phones: list[Phone]
+    """Each by its id, in the order of these."""
+
+
 class Picture(TypedDict):
     """Where sensors went, thinned out: enough for a thumbnail."""
 
@@ -2954,10 +3026,15 @@ class Problem(TypedDict):
     """Something that is wrong now."""
 
     code: str
-    """For programs."""
+    """For programs, and for who says it in another language."""
 
     message: str
-    """For people: what to do, in one sentence."""
+    """For people: what to do, in one sentence of English."""
+
+    values: dict[str, str]
+    """What the sentence names, by name: all that another language needs to say the same. Empty where only `message`
+    has it.
+    """
 
 
 class Progress(TypedDict):
@@ -2991,6 +3068,16 @@ class Progress(TypedDict):
 
     unvisited_m: list[list[float]]
     """Middles of cells inside the hull that it did not come near, at most 60, transmitter frame, m."""
+
+
+class QrCode(TypedDict):
+    """A picture of squares."""
+
+    path: str
+    """The dark ones, as a path of SVG with squares of one unit."""
+
+    width: int
+    """How many squares are side by side, without the margin of four that it needs."""
 
 
 class Quality(TypedDict):
@@ -3122,7 +3209,7 @@ class Resumed(TypedDict):
     """The newest of the stage."""
 
 
-Role: TypeAlias = 'Literal["watch", "operate"]'
+Role: TypeAlias = 'Literal["sensor", "watch", "operate"]'
 """What a client may do."""
 
 
@@ -3309,7 +3396,7 @@ class SensorHistory(TypedDict):
     """A sensor in the last hour."""
 
     battery: list[float | None]
-    """Charge of its battery, 0 to 1. No driver reports one yet: always null."""
+    """Charge of its battery at the end of the step, 0 to 1; null where its device reports none."""
 
     clock_sigma_s: list[float | None]
     """Standard deviation of the capture times of its device, s, at the end of the step."""
@@ -3330,6 +3417,9 @@ class SensorHistory(TypedDict):
 
     rate_hz: list[float | None]
     """Samples per second."""
+
+    signal_dbm: list[float | None]
+    """Strength of its radio signal at the end of the step, dBm; null where its device reports none."""
 
 
 class SensorLabel(TypedDict):
@@ -3358,6 +3448,12 @@ class SensorStatus(TypedDict):
     age_s: float | None
     """Age of the newest sample, s; null before the first."""
 
+    battery: float | None
+    """Charge of its battery, 0 to 1; null where its device reports none, and after it is gone."""
+
+    battery_v: float | None
+    """Voltage of its battery, V; null likewise."""
+
     estimated: bool
     """Whether `lost` is partly estimated, because whole cycles left no trace in the bytes."""
 
@@ -3372,6 +3468,9 @@ class SensorStatus(TypedDict):
 
     samples: int
     """Samples that arrived."""
+
+    signal_dbm: float | None
+    """Strength of its radio signal, dBm (-50 is strong, -80 weak); null likewise."""
 
 
 class SensorsMessage(TypedDict):
