@@ -41,12 +41,6 @@ async fn a_take_is_played_scrubbed_and_looped_on_its_timeline() {
     // Recordings belong to a live stage.
     browser.until("document.getElementById('record-start') === null").await;
 
-    // What was marked is in the list, and a key leads there.
-    browser.click("items-open").await;
-    browser.until("document.getElementById('items').textContent.includes('pain here')").await;
-    prepare_for_axe(&mut browser).await;
-    assert_eq!(barriers(&mut browser).await, Vec::<String>::new());
-    browser.value("document.getElementById('items-list').hidePopover()").await;
     // So slow that it does not end meanwhile; had it ended, it begins anew.
     press_speed(&mut browser, "0.1 ×").await;
     browser
@@ -58,6 +52,14 @@ async fn a_take_is_played_scrubbed_and_looped_on_its_timeline() {
         .await;
     browser.click("play").await;
     browser.until("document.getElementById('link').textContent === 'paused'").await;
+
+    // What was marked is in the list, and a key leads there.
+    browser.click("items-open").await;
+    browser.until("document.getElementById('items').textContent.includes('pain here')").await;
+    // Of a halted take: while axe looks, no frame is drawn, and what is old is faded on purpose.
+    prepare_for_axe(&mut browser).await;
+    assert_eq!(barriers(&mut browser).await, Vec::<String>::new());
+    browser.value("document.getElementById('items-list').hidePopover()").await;
     browser.value("document.getElementById('timeline').focus()").await;
     press(&mut browser, "Home").await;
     browser.until("document.getElementById('timeline').ariaValueNow === '0'").await;
