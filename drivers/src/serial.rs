@@ -7,6 +7,7 @@ use posed_state::{Plain, State as Stored};
 
 use crate::arrivals::Arrivals;
 use crate::cut::{Cutter, Grammar};
+use crate::flock::SettingsError;
 use crate::link::{Due, Link, Timing};
 use crate::outbox::Outbox;
 use crate::sample::{Arrival, DeviceTime, Measurement, Sample, Timestamp};
@@ -147,6 +148,23 @@ pub struct SerialSession<P: Protocol> {
     protocol: P,
     line: Line,
     cutter: Cutter<P::Grammar>,
+}
+
+/// Stations that are asked for, in the order of their numbers: at least one, each once, from 1 to `most`.
+///
+/// # Errors
+/// They are others; `expected` says which they may be.
+pub(crate) fn stations(wanted: &[u16], most: u8, expected: &'static str) -> Result<Vec<u8>, SettingsError> {
+    let bad = SettingsError { key: "address", expected };
+    let mut stations: Vec<u8> =
+        wanted.iter().map(|&station| u8::try_from(station).map_err(|_| bad)).collect::<Result<_, _>>()?;
+    stations.sort_unstable();
+    stations.dedup();
+    let in_range = stations.iter().all(|station| (1..=most).contains(station));
+    if stations.is_empty() || stations.len() != wanted.len() || !in_range {
+        return Err(bad);
+    }
+    Ok(stations)
 }
 
 impl<P: Protocol> SerialSession<P> {

@@ -15,7 +15,7 @@ use super::wire::{Piece, Record, Records, STATIONS, Shape};
 use crate::flock::SettingsError;
 use crate::link::Timing;
 use crate::sample::{DeviceTime, Measurement, Timestamp};
-use crate::serial::{Line, Protocol, SerialSession, Words};
+use crate::serial::{Line, Protocol, SerialSession, Words, stations};
 use crate::session::Loss;
 use crate::turns::Turns;
 
@@ -81,19 +81,11 @@ impl FastrakSession {
     /// A setting is out of its range; `wanted` is empty, names a station twice, or one that is not 1 to 4.
     pub fn new(settings: Settings, wanted: &[u16]) -> Result<Self, SettingsError> {
         settings.validate()?;
-        let bad = SettingsError { key: "address", expected: "different numbers from 1 to 4" };
-        let mut stations: Vec<u8> =
-            wanted.iter().map(|&station| u8::try_from(station).map_err(|_| bad)).collect::<Result<_, _>>()?;
-        stations.sort_unstable();
-        stations.dedup();
-        let in_range = stations.iter().all(|station| (1..=STATIONS).contains(station));
-        if stations.is_empty() || stations.len() != wanted.len() || !in_range {
-            return Err(bad);
-        }
-        let addresses = stations.iter().copied().map(u16::from).collect::<Vec<_>>().into_iter();
+        let stations = stations(wanted, STATIONS, "different numbers from 1 to 4")?;
+        let addresses: Vec<u16> = stations.iter().copied().map(u16::from).collect();
         let records = Records::new(settings.shape());
-        let turns = Turns::new(addresses.clone());
-        Ok(Self::of(Fastrak { settings, stations, turns }, records, addresses))
+        let turns = Turns::new(addresses.iter().copied());
+        Ok(Self::of(Fastrak { settings, stations, turns }, records, addresses.into_iter()))
     }
 }
 

@@ -1,7 +1,7 @@
 //! Fastrak.
 
 use super::head::Head;
-use super::script::{cut_both_ways, pieces, probe, session};
+use super::script::{cut_both_ways, messages, pieces, probe, session};
 use crate::fastrak::wire::{Piece, Record, Shape, Splitter};
 use crate::fastrak::{FastrakSession, Settings, probe::inquiry};
 use crate::sample::Timestamp;
@@ -34,19 +34,12 @@ pub fn fastrak(data: &[u8]) -> usize {
 }
 
 fn records(pieces: &[&[u8]], shape: Shape) -> (Vec<Piece>, u64, u64) {
-    let mut splitter = Splitter::new(shape);
-    let mut out = Vec::new();
-    for piece in pieces {
-        splitter.push(piece);
-        while let Some(piece) = splitter.find() {
-            if let Piece::Record { record, .. } = piece {
-                let mut again = Vec::new();
-                record.encode(shape, &mut again);
-                let parse = if shape.text { Record::parse_text } else { Record::parse_binary };
-                assert!(parse(&again, shape).is_some(), "a record is none when written again");
-            }
-            out.push(piece);
+    messages(Splitter::new(shape), pieces, |piece| {
+        if let Piece::Record { record, .. } = piece {
+            let mut again = Vec::new();
+            record.encode(shape, &mut again);
+            let parse = if shape.text { Record::parse_text } else { Record::parse_binary };
+            assert!(parse(&again, shape).is_some(), "a record is none when written again");
         }
-    }
-    (out, splitter.rejected(), splitter.bytes_skipped())
+    })
 }

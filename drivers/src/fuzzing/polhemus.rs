@@ -1,7 +1,7 @@
 //! Polhemus Liberty and Patriot.
 
 use super::head::Head;
-use super::script::{cut_both_ways, pieces, probe, session};
+use super::script::{cut_both_ways, is_message, messages, pieces, probe, session};
 use crate::polhemus::wire::{ACTIVE_STATIONS, Header, Model, Piece, Shape, Splitter};
 use crate::polhemus::{PolhemusSession, Settings, probe::inquiry};
 use crate::sample::Timestamp;
@@ -38,20 +38,11 @@ pub fn polhemus(data: &[u8]) -> usize {
 }
 
 fn records(pieces: &[&[u8]], shape: Shape) -> (Vec<Piece>, u64, u64) {
-    let mut splitter = Splitter::new(shape);
-    let mut out = Vec::new();
-    for piece in pieces {
-        splitter.push(piece);
-        while let Some(piece) = splitter.find() {
-            if let Piece::Record { record, .. } = piece {
-                let mut again = Vec::new();
-                record.encode(shape, &mut again);
-                let mut splitter = Splitter::new(shape);
-                splitter.push(&again);
-                assert!(splitter.find().is_some(), "a record is none when written again");
-            }
-            out.push(piece);
+    messages(Splitter::new(shape), pieces, |piece| {
+        if let Piece::Record { record, .. } = piece {
+            let mut again = Vec::new();
+            record.encode(shape, &mut again);
+            assert!(is_message(Splitter::new(shape), &again), "a record is none when written again");
         }
-    }
-    (out, splitter.rejected(), splitter.bytes_skipped())
+    })
 }

@@ -3,6 +3,7 @@
 use std::fmt::Debug;
 use std::time::Duration;
 
+use crate::cut::{Cutter, Grammar};
 use crate::flock;
 use crate::probe::Inquiry;
 use crate::sample::{Measurement, Timestamp};
@@ -50,6 +51,29 @@ pub(super) fn pieces(script: &[u8]) -> Vec<&[u8]> {
 pub(super) fn cut_both_ways<T: PartialEq + Debug>(pieces: &[&[u8]], decode: impl Fn(&[&[u8]]) -> T) {
     let whole = decode(&[&pieces.concat()]);
     assert_eq!(whole, decode(pieces), "pieces make a difference");
+}
+
+/// All messages of the pieces, times that sync was lost, and bytes of no message; `each` sees every message.
+pub(super) fn messages<G: Grammar>(
+    mut cutter: Cutter<G>,
+    pieces: &[&[u8]],
+    each: impl Fn(&G::Message),
+) -> (Vec<G::Message>, u64, u64) {
+    let mut out = Vec::new();
+    for piece in pieces {
+        cutter.push(piece);
+        while let Some(message) = cutter.find() {
+            each(&message);
+            out.push(message);
+        }
+    }
+    (out, cutter.rejected(), cutter.bytes_skipped())
+}
+
+/// Whether bytes are one message and nothing is in front of it.
+pub(super) fn is_message<G: Grammar>(mut cutter: Cutter<G>, bytes: &[u8]) -> bool {
+    cutter.push(bytes);
+    cutter.find().is_some()
 }
 
 /// Opens a line, answers with `lead`, then lets the script talk; returns how many samples came out.

@@ -1,7 +1,7 @@
 //! WitMotion sensors.
 
 use super::head::Head;
-use super::script::{cut_both_ways, pieces, probe, session};
+use super::script::{cut_both_ways, is_message, messages, pieces, probe, session};
 use crate::sample::Timestamp;
 use crate::witmotion::wire::{self, Piece, Splitter, kind};
 use crate::witmotion::{Settings, WitMotionSession, probe::inquiry};
@@ -29,20 +29,11 @@ pub fn witmotion(data: &[u8]) -> usize {
 }
 
 fn groups(pieces: &[&[u8]]) -> (Vec<Piece>, u64, u64) {
-    let mut splitter = Splitter::new();
-    let mut out = Vec::new();
-    for piece in pieces {
-        splitter.push(piece);
-        while let Some(piece) = splitter.find() {
-            if let Piece::Group { group, .. } = piece {
-                let mut again = Vec::new();
-                group.encode(&mut again);
-                let mut splitter = Splitter::new();
-                splitter.push(&again);
-                assert!(splitter.find().is_some(), "a group is none when written again");
-            }
-            out.push(piece);
+    messages(Splitter::new(), pieces, |piece| {
+        if let Piece::Group { group, .. } = piece {
+            let mut again = Vec::new();
+            group.encode(&mut again);
+            assert!(is_message(Splitter::new(), &again), "a group is none when written again");
         }
-    }
-    (out, splitter.rejected(), splitter.bytes_skipped())
+    })
 }

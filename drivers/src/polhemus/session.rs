@@ -17,7 +17,7 @@ use super::wire::{Model, Piece, Record, Records, STATIONS, Shape};
 use crate::flock::SettingsError;
 use crate::link::Timing;
 use crate::sample::{DeviceTime, Measurement, Timestamp};
-use crate::serial::{Line, Protocol, SerialSession, Words};
+use crate::serial::{Line, Protocol, SerialSession, Words, stations};
 use crate::session::Loss;
 
 /// Settings of a Liberty or Patriot; every key has a default.
@@ -88,27 +88,19 @@ impl PolhemusSession {
     /// A setting is out of its range; `wanted` is empty, names a station twice, or one that is not 1 to 16.
     pub fn new(settings: Settings, line_baud: u32, wanted: &[u16]) -> Result<Self, SettingsError> {
         settings.validate()?;
-        let bad = SettingsError { key: "address", expected: "different numbers from 1 to 16" };
-        let mut stations: Vec<u8> =
-            wanted.iter().map(|&station| u8::try_from(station).map_err(|_| bad)).collect::<Result<_, _>>()?;
-        stations.sort_unstable();
-        stations.dedup();
-        let in_range = stations.iter().all(|station| (1..=STATIONS).contains(station));
-        if stations.is_empty() || stations.len() != wanted.len() || !in_range {
-            return Err(bad);
-        }
-        let addresses = stations.iter().copied().map(u16::from).collect::<Vec<_>>().into_iter();
+        let stations = stations(wanted, STATIONS, "different numbers from 1 to 16")?;
+        let addresses: Vec<u16> = stations.iter().copied().map(u16::from).collect();
         let records = Records::new(settings.shape());
         let protocol = Polhemus {
             settings,
             line_baud,
-            losses: addresses.clone().map(|address| Loss { address, ..Loss::default() }).collect(),
+            losses: addresses.iter().map(|&address| Loss { address, ..Loss::default() }).collect(),
             last: vec![None; stations.len()],
             stations,
             stamps: Stamps::default(),
             model: None,
         };
-        Ok(Self::of(protocol, records, addresses))
+        Ok(Self::of(protocol, records, addresses.into_iter()))
     }
 }
 
