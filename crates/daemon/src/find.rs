@@ -8,7 +8,7 @@ pub mod survey;
 
 use std::collections::BTreeMap;
 use std::io;
-use std::net::Ipv4Addr;
+use std::net::{Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
 use posed_drivers::datagram::datagrams;
@@ -347,7 +347,7 @@ fn is_meant(identity: &Identity, serials: &[String]) -> bool {
 pub async fn announcements(time: Duration) -> io::Result<Vec<Announcement>> {
     let socket = port::shared_udp((Ipv4Addr::UNSPECIFIED, ANNOUNCEMENTS).into())?;
     let mut found: Vec<Announcement> = Vec::new();
-    collect(&socket, time, &mut |datagram| {
+    collect(&socket, time, &mut |datagram, _| {
         if let Some(unit) = Announcement::parse(datagram)
             && found.iter().all(|known| known.serial != unit.serial)
         {
@@ -358,15 +358,15 @@ pub async fn announcements(time: Duration) -> io::Result<Vec<Announcement>> {
     Ok(found)
 }
 
-/// Hands on all datagrams that arrive within `time`.
-async fn collect(socket: &UdpSocket, time: Duration, each: &mut impl FnMut(&[u8])) {
+/// Hands on all datagrams that arrive within `time`, with where they come from.
+async fn collect(socket: &UdpSocket, time: Duration, each: &mut impl FnMut(&[u8], SocketAddr)) {
     let mut buffer = [0; 1500];
     let clock = StageClock::start();
     let end = clock.instant(clock.now() + time);
-    while let Ok(received) = tokio::time::timeout_at(end.into(), socket.recv(&mut buffer)).await {
+    while let Ok(received) = tokio::time::timeout_at(end.into(), socket.recv_from(&mut buffer)).await {
         // A datagram that cannot be received is none.
-        if let Ok(n) = received {
-            each(&buffer[..n]);
+        if let Ok((n, peer)) = received {
+            each(&buffer[..n], peer);
         }
     }
 }
@@ -383,19 +383,15 @@ pub async fn open_imus(time: Duration) -> Vec<(u16, open_imu::probe::Heard)> {
 async fn open_imus_at(port: u16, time: Duration) -> Option<open_imu::probe::Heard> {
     let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, port)).await.ok()?;
     let mut heard = open_imu::probe::Heard::default();
-    let mut buffer = [0; 1500];
-    let clock = StageClock::start();
-    let end = clock.instant(clock.now() + time);
-    while let Ok(received) = tokio::time::timeout_at(end.into(), socket.recv_from(&mut buffer)).await {
-        // A datagram that cannot be received is none.
-        let Ok((n, peer)) = received else { continue };
-        if open_imu::wire::Kind::of(&buffer[..n]) == open_imu::wire::Kind::Discovery {
+    collect(&socket, time, &mut |datagram, peer| {
+        if open_imu::wire::Kind::of(datagram) == open_imu::wire::Kind::Discovery {
             let answer = open_imu::wire::discovered("posed", 0, port, port);
             // Who does not get it asks again.
-            let _ = socket.send_to(&answer, peer).await;
+            let _ = socket.try_send_to(&answer, peer);
         }
-        heard.datagram(&buffer[..n]);
-    }
+        heard.datagram(datagram);
+    })
+    .await;
     heard.identity().is_some().then_some(heard)
 }
 
@@ -421,7 +417,12 @@ pub async fn radio_trackers(port: &str, time: Duration) -> Result<Vec<String>, P
             }
         }
     }
-    Ok(found.into_values().map(|mac| mac.map(|byte| format!("{byte:02X}")).join(":")).collect())
+    Ok(found.into_values().map(written).collect())
+}
+
+/// A network address as the stage file has it.
+fn written(mac: [u8; 6]) -> String {
+    mac.map(|byte| format!("{byte:02X}")).join(":")
 }
 
 /// Network addresses of the SlimeVR trackers that look for a server within `time`, like `A4:CF:12:D4:E5:F6`, each once, in the
@@ -432,13 +433,13 @@ pub async fn radio_trackers(port: &str, time: Duration) -> Result<Vec<String>, P
 pub async fn slimevr_trackers(time: Duration) -> io::Result<Vec<String>> {
     let socket = UdpSocket::bind("0.0.0.0:6969").await?;
     let mut found: Vec<String> = Vec::new();
-    collect(&socket, time, &mut |datagram| {
+    collect(&socket, time, &mut |datagram, _| {
         let Some(packet) = posed_drivers::slimevr::wire::parse(datagram) else { return };
         packet.items(|item| {
             if let Ok(posed_drivers::slimevr::wire::Item::Handshake(handshake)) = item
                 && let Some(mac) = handshake.mac
             {
-                let text = mac.map(|byte| format!("{byte:02X}")).join(":");
+                let text = written(mac);
                 if !found.contains(&text) {
                     found.push(text);
                 }

@@ -2,6 +2,7 @@
 
 use serde_json::{Map, Value, json};
 
+use super::super::find::proposal::free;
 use super::super::server::phones::{Connected, Phones};
 use super::{Calls, Refusal};
 use posed_protocol::{Answer, Phone};
@@ -27,10 +28,10 @@ impl Calls {
         let phones = self.phones()?;
         let placing = phones.placing();
         let connected = phones.gate().connected();
-        let text = self.file.read()?;
+        let keys: toml::Table = toml::from_str(&self.file.read()?).unwrap_or_default();
         let list = connected.into_iter().map(|Connected { peer, hello, orientation_wxyz }| {
             let sensor = placing.sensor(&hello.id).map(str::to_owned);
-            let adds = if sensor.is_some() { Vec::new() } else { additions(&text, &hello.id, &hello.name) };
+            let adds = if sensor.is_some() { Vec::new() } else { additions(&keys, &hello.id, &hello.name) };
             Phone {
                 phone_id: hello.id,
                 phone_name: hello.name,
@@ -45,8 +46,7 @@ impl Calls {
 }
 
 /// The changes of a stage file that make a device one of its sensors.
-fn additions(text: &str, id: &str, called: &str) -> Vec<Change> {
-    let keys: toml::Table = toml::from_str(text).unwrap_or_default();
+fn additions(keys: &toml::Table, id: &str, called: &str) -> Vec<Change> {
     let tables =
         |key: &str| keys.get(key).and_then(toml::Value::as_array).map(Vec::as_slice).unwrap_or_default();
     let text_of =
@@ -96,18 +96,16 @@ fn named(called: &str) -> String {
     }
 }
 
-/// A name that nothing has yet: this one, or this one with a number.
-fn free(name: &str, taken: &[String]) -> String {
-    let mut all = std::iter::once(name.to_owned()).chain((2..).map(|n| format!("{name}-{n}")));
-    all.find(|name| !taken.contains(name)).unwrap_or_default()
-}
-
 #[cfg(test)]
 mod tests {
     use posed_stage::Stage;
     use posed_stage::edit::edit;
 
     use super::*;
+
+    fn additions(text: &str, id: &str, called: &str) -> Vec<Change> {
+        super::additions(&toml::from_str(text).unwrap(), id, called)
+    }
 
     #[test]
     fn one_phone_after_the_other_becomes_a_sensor() {

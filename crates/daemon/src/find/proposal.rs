@@ -35,7 +35,7 @@ pub fn newcomers(device: &Device, found: &[Found], taken: &[&str]) -> Option<Fou
         }
         let serial = if *sensor == 0 { id.clone() } else { format!("{id}/{sensor}") };
         let address = u16::from(*sensor) << 8 | (known as u16 + 1);
-        let name = free(&serial.replace('/', "-"), &mut taken);
+        let name = take(&serial.replace('/', "-"), &mut taken);
         let keys = [("name", json!(name)), ("device", json!(device.name)), ("address", json!(address))];
         let keys = keys.map(|(key, value)| (key.to_owned(), value)).into_iter().collect();
         adds.push(Change::Add { table: Table::Sensor, keys });
@@ -57,7 +57,7 @@ pub fn newcomers(device: &Device, found: &[Found], taken: &[&str]) -> Option<Fou
 
 fn additions(port: &FoundPort, driver: &str, taken: &mut Vec<String>) -> Vec<Change> {
     let (short, unit) = names(driver);
-    let device = free(short, taken);
+    let device = take(short, taken);
     let mut keys = Map::new();
     let mut set = |key: &str, value: Value| _ = keys.insert(key.to_owned(), value);
     set("name", json!(device));
@@ -95,7 +95,7 @@ fn additions(port: &FoundPort, driver: &str, taken: &mut Vec<String>) -> Vec<Cha
     let mut changes = vec![Change::Add { table: Table::Device, keys }];
     let prefix = if device == short { String::new() } else { format!("{device}-") };
     for sensor in &port.sensors {
-        let name = free(&format!("{prefix}{unit}-{}", sensor.address), taken);
+        let name = take(&format!("{prefix}{unit}-{}", sensor.address), taken);
         let mut keys = Map::new();
         keys.insert("name".to_owned(), json!(name));
         keys.insert("device".to_owned(), json!(device));
@@ -109,9 +109,14 @@ fn additions(port: &FoundPort, driver: &str, taken: &mut Vec<String>) -> Vec<Cha
 }
 
 /// A name that nothing has yet: this one, or this one with a number.
-fn free(name: &str, taken: &mut Vec<String>) -> String {
+pub fn free(name: &str, taken: &[String]) -> String {
     let mut all = std::iter::once(name.to_owned()).chain((2..).map(|n| format!("{name}-{n}")));
-    let found = all.find(|name| !taken.contains(name)).unwrap_or_default();
+    all.find(|name| !taken.contains(name)).unwrap_or_default()
+}
+
+/// The same, which is taken from now on.
+fn take(name: &str, taken: &mut Vec<String>) -> String {
+    let found = free(name, taken);
     taken.push(found.clone());
     found
 }
