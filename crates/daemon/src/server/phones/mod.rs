@@ -78,8 +78,11 @@ struct Inner {
     placing: Placing,
     context: Arc<ConnectionContext>,
     status: OnceLock<watch::Receiver<Status>>,
-    open: Mutex<Option<Result<Open, String>>>,
+    open: Mutex<Opened>,
 }
+
+/// Whether phones can come, or what kept them from it last; `None` before anybody has wanted it.
+type Opened = Option<Result<Open, Arc<PhoneError>>>;
 
 /// By which certificate phones know the daemon.
 enum Identity {
@@ -150,17 +153,13 @@ impl Phones {
     pub(super) fn open_if_read(&self) {
         if self.0.is_read {
             // What keeps them from it is among the problems.
-            let _ = self.open();
+            let _ = self.open(|_| ());
         }
     }
 
     /// Lets phones come; how, to be shown to whoever has one.
-    pub(crate) fn invite(&self) -> Result<Invitation, String> {
-        self.open()?;
-        match &*self.opened() {
-            Some(Ok(open)) => Ok(self.invitation(open)),
-            _ => Err("phones cannot come".to_owned()),
-        }
+    pub(crate) fn invite(&self) -> Result<Invitation, Arc<PhoneError>> {
+        self.open(|open| self.invitation(open))
     }
 
     /// Where connections and the port of a device meet.
@@ -176,7 +175,7 @@ impl Phones {
     /// What keeps phones from coming, where one should.
     pub(super) fn problem(&self) -> Option<Problem> {
         match &*self.opened() {
-            Some(Err(message)) => Some(Problem::new("phones", message.clone())),
+            Some(Err(error)) => Some(Problem::new("phones", error.to_string())),
             _ => None,
         }
     }
@@ -189,7 +188,7 @@ impl Phones {
         }
     }
 
-    /// The certificate that a phone can be told to trust.
+    /// The certificate that a phone can be set to trust.
     fn authority(&self) -> Option<Vec<u8>> {
         match &*self.opened() {
             Some(Ok(open)) => open.identity.authority().map(|own| own.der().to_vec()),
@@ -202,24 +201,20 @@ impl Phones {
         self.0.status.get().cloned().unwrap_or_else(none)
     }
 
-    fn opened(&self) -> MutexGuard<'_, Option<Result<Open, String>>> {
+    fn opened(&self) -> MutexGuard<'_, Opened> {
         // Every change is complete before anything in it could panic.
         self.0.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn open(&self) -> Result<(), String> {
+    /// Opens it where it is not, then asks of it.
+    fn open<T>(&self, ask: impl FnOnce(&Open) -> T) -> Result<T, Arc<PhoneError>> {
         let mut opened = self.opened();
-        if !matches!(&*opened, Some(Ok(_))) {
-            let result = self.begin().map_err(|error| error.to_string());
-            if let Err(error) = &result {
-                tracing::warn!("{error}");
-            }
-            *opened = Some(result);
+        let before = opened.take().and_then(Result::ok);
+        let now = before.map_or_else(|| self.begin().map_err(Arc::new), Ok);
+        if let Err(error) = &now {
+            tracing::warn!("{error}");
         }
-        match &*opened {
-            Some(Err(error)) => Err(error.clone()),
-            _ => Ok(()),
-        }
+        opened.insert(now).as_ref().map(ask).map_err(Arc::clone)
     }
 
     /// Binds the address, and serves phones there until the daemon ends.
