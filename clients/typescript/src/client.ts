@@ -42,13 +42,13 @@ export class Refused extends Error {
   }
 }
 
-/** The websocket of a stage, from the address of its page or from its own. */
-export function websocketOf(page: string): string {
+/** The websocket of a stage, from the address of its page or from its own; `name`: another one that it serves. */
+export function websocketOf(page: string, name = "ws"): string {
   const address = new URL(page);
   address.search = "";
   address.hash = "";
   if (address.protocol.startsWith("ws")) return address.href;
-  const socket = new URL("ws", address);
+  const socket = new URL(name, address);
   socket.protocol = address.protocol === "https:" ? "wss:" : "ws:";
   return socket.href;
 }

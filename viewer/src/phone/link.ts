@@ -1,5 +1,6 @@
 // The websocket to the stage: says who this phone is, sends what it measures in blocks, and connects again.
 
+import { websocketOf } from "../../../clients/typescript/src/client";
 import type { Quat, Vec3 } from "./vectors";
 
 /** What the stage thinks of this phone. */
@@ -116,10 +117,7 @@ export class Link {
   }
 
   private address(): string {
-    const address = new URL("imu", location.href);
-    address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
-    address.search = "";
-    address.hash = "";
+    const address = new URL(websocketOf(location.href, "imu"));
     const token = this.token();
     if (token !== null) address.searchParams.set("k", token);
     return address.href;
