@@ -8,13 +8,12 @@ from collections.abc import Coroutine, Iterator, Sequence
 from types import TracebackType
 from typing import Any, Generic, TypeVar, cast
 
-import numpy as np
-
 from . import _subscriptions as wanted
 from ._inboxes import BlockingInbox
 from ._link import Link, Subscription
+from ._linked import Linked
 from ._requests import BlockingRequests
-from ._schema import DropPolicy, Field, Hello, Job, ServerMessage, Started
+from ._schema import DropPolicy, Field, Job, ServerMessage, Started
 from .errors import Disconnected
 from .frames import BodyFrame, SensorsFrame
 
@@ -74,7 +73,7 @@ class Stream(Iterator[T], Generic[T]):
         self._inbox.put(StopIteration(), None)
 
 
-class Connection(BlockingRequests):
+class Connection(Linked, BlockingRequests):
     """A connection to a running stage that lasts: it reconnects by itself, and asks for the events that were missed."""
 
     def __init__(self, address: str, token: str | None, reconnect: bool, timeout_s: float) -> None:
@@ -96,27 +95,6 @@ class Connection(BlockingRequests):
         if not self._loop.loop.is_closed():
             self._loop.run(self._link.close())
             self._loop.end()
-
-    @property
-    def url(self) -> str:
-        """Of the websocket."""
-        return self._link.url
-
-    @property
-    def connected(self) -> bool:
-        """Whether there is a connection just now."""
-        return self._link.connected
-
-    @property
-    def hello(self) -> Hello:
-        """Who speaks, and what there is: of the newest connection."""
-        assert self._link.hello is not None, "it was greeted when it was opened"
-        return self._link.hello
-
-    @property
-    def epoch_utc(self) -> np.datetime64:
-        """The stage's epoch, from which `t_s` counts."""
-        return self._link.epoch_utc
 
     def request(self, request: dict[str, Any]) -> Any:
         return self._loop.run(self._link.request(request))

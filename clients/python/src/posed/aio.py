@@ -11,13 +11,12 @@ from collections.abc import AsyncIterator, Generator, Sequence
 from types import TracebackType
 from typing import Any, Generic, TypeVar, cast
 
-import numpy as np
-
 from . import _subscriptions as wanted
 from ._inboxes import AwaitedInbox
 from ._link import Link, Subscription
+from ._linked import Linked
 from ._requests import AwaitedRequests
-from ._schema import DropPolicy, Field, Hello, Job, ServerMessage, Started
+from ._schema import DropPolicy, Field, Job, ServerMessage, Started
 from .frames import BodyFrame, SensorsFrame
 
 __all__ = ["Connection", "Stream", "connect"]
@@ -57,7 +56,7 @@ class Stream(AsyncIterator[T], Generic[T]):
         self._inbox.put(StopAsyncIteration(), None)
 
 
-class Connection(AwaitedRequests):
+class Connection(Linked, AwaitedRequests):
     """A connection to a running stage that lasts: it reconnects by itself, and asks for the events that were missed."""
 
     def __init__(self, address: str, token: str | None, reconnect: bool, timeout_s: float) -> None:
@@ -77,27 +76,6 @@ class Connection(AwaitedRequests):
     async def close(self) -> None:
         """Ends the connection; what is iterated ends with `Disconnected`."""
         await self._link.close()
-
-    @property
-    def url(self) -> str:
-        """Of the websocket."""
-        return self._link.url
-
-    @property
-    def connected(self) -> bool:
-        """Whether there is a connection just now."""
-        return self._link.connected
-
-    @property
-    def hello(self) -> Hello:
-        """Who speaks, and what there is: of the newest connection."""
-        assert self._link.hello is not None, "it is connected when it is awaited"
-        return self._link.hello
-
-    @property
-    def epoch_utc(self) -> np.datetime64:
-        """The stage's epoch, from which `t_s` counts."""
-        return self._link.epoch_utc
 
     async def request(self, request: dict[str, Any]) -> Any:
         return await self._link.request(request)
