@@ -122,7 +122,7 @@ class Noted:
         self.late_s.append(now - t_s)
         return now < self.until
 
-    def told(self):
+    def reported(self):
         began, used = self.before
         lasted = time.monotonic() - began
         return {"late_s": sorted(self.late_s), "core": (time.process_time() - used) / lasted, "rate_hz": len(self.late_s) / lasted}
@@ -171,7 +171,7 @@ def listen(form, address, seconds):
         asyncio.run(awaited(address, noted))
     else:
         asyncio.run(bare(address, noted, PROTOCOLS[form == "bare MessagePack"], form == "JSON by hand"))
-    return noted.told()
+    return noted.reported()
 
 
 def main():
@@ -210,12 +210,12 @@ def main():
         return [1e3 * one["late_s"][int(share * len(one["late_s"]))] for one in found[form]]
 
     for form, rounds in found.items():
-        told = {"client": form, "sensors": options.sensors, "rate_hz": round(statistics.median(one["rate_hz"] for one in rounds), 1)}
-        told["core_percent"] = round(100 * statistics.median(one["core"] for one in rounds), 1)
+        report = {"client": form, "sensors": options.sensors, "rate_hz": round(statistics.median(one["rate_hz"] for one in rounds), 1)}
+        report["core_percent"] = round(100 * statistics.median(one["core"] for one in rounds), 1)
         for name, share in (("median", 0.5), ("p99", 0.99)):
             added = [a - b for a, b in zip(late_ms(form, share), late_ms(BASE[form], share))]
-            told[name] = {"late_ms": round(statistics.median(late_ms(form, share)), 3), "added_ms": round(statistics.median(added), 3), "most_added_ms": round(max(added), 3)}
-        print(json.dumps(told), flush=True)
+            report[name] = {"late_ms": round(statistics.median(late_ms(form, share)), 3), "added_ms": round(statistics.median(added), 3), "most_added_ms": round(max(added), 3)}
+        print(json.dumps(report), flush=True)
 
 
 main()

@@ -3,7 +3,7 @@
     pip install './clients/python[pandas,polars]'
     python benches/python/take.py take.mcap target/release/posed
 
-Each of the repeated reads is a process of its own, from the import of the client to the data frame; the import of pandas or polars is told apart. Medians of five, with the
+Each of the repeated reads is a process of its own, from the import of the client to the data frame; the import of pandas or polars is reported apart. Medians of five, with the
 processor time beside them. `preview` is what the recording shows to viewers five times a second.
 """
 
@@ -49,8 +49,8 @@ def main():
                     done = subprocess.run([sys.executable, "-c", code, options.recording], check=True, capture_output=True, text=True)
                     times.append([float(word) for word in done.stdout.split()])
                 took, used, library, rows, columns = sorted(times)[2]
-                told = {"read": "preview" if preview else "kept", "frames": frames, "table": table, "rows": int(rows), "columns": int(columns)}
-                print(json.dumps({**told, "s": round(took, 3), "cpu_s": round(used, 3), "library_s": round(library, 2)}), flush=True)
+                report = {"read": "preview" if preview else "kept", "frames": frames, "table": table, "rows": int(rows), "columns": int(columns)}
+                print(json.dumps({**report, "s": round(took, 3), "cpu_s": round(used, 3), "library_s": round(library, 2)}), flush=True)
 
 
 main()

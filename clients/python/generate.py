@@ -101,8 +101,8 @@ class Types:
             names = []
             for variant in variants:
                 consts = [str(one["const"]) for one in variant["properties"].values() if "const" in one]
-                told = consts[0] if consts else "_".join(sorted(variant["properties"]))
-                names.append(name + camel(told))
+                kind = consts[0] if consts else "_".join(sorted(variant["properties"]))
+                names.append(name + camel(kind))
                 self.object(names[-1], {
                     "description": variant.get("description") or schema.get("description", ""),
                     "properties": {**extra, **schema.get("properties", {}), **variant["properties"]},
@@ -177,8 +177,8 @@ def requests_module(whole: Schema) -> str:
             parameters.append("*")
             parameters += [f"{safe[key]}: {types.union([*annotated[key].split(' | '), 'None'])} = None" for key in others]
         answer = types.type_of(answers[name]) if name in answers else "None"
-        for told in [*annotated.values(), answer]:
-            used.update(word for word in told.replace("[", " ").replace("]", " ").replace(",", " ").split() if word in definitions)
+        for note in [*annotated.values(), answer]:
+            used.update(word for word in note.replace("[", " ").replace("]", " ").replace(",", " ").split() if word in definitions)
         said = call["description"]
         about = [f"`{safe[key]}`: {properties[key]['description']}" for key in [*needed, *others] if "description" in properties[key]]
         doc = docstring(said, 8)

@@ -22,7 +22,7 @@ HELLO = {
 
 
 class Daemon:
-    """A daemon that does as a test says: `script` is told the number of the connection, from 0."""
+    """A daemon that does as a test says: `script` gets the number of the connection, from 0."""
 
     def __init__(self, script: Callable[[Peer, int], Coroutine[Any, Any, None]]) -> None:
         self.script = script

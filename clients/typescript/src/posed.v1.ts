@@ -1165,7 +1165,7 @@ export type Intrinsics = {
 
 /** How a phone comes. */
 export type Invitation = {
-  /** What the daemon's own authority is called, which a phone may be told to trust; null where the stage file names a certificate. */
+  /** What the daemon's own authority is called, which a phone may be set to trust; null where the stage file names a certificate. */
   authority: string | null;
   /** The SHA-256 fingerprint of the authority's certificate; empty where the stage file names a certificate. */
   fingerprint: string;

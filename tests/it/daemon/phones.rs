@@ -260,7 +260,7 @@ async fn phones_come_over_tls_to_an_address_that_has_nothing_else_and_stays_when
     let upgrade = "/imu HTTP/1.1\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
                    Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nX-Rest:";
     assert!(get(upgrade).await.starts_with("HTTP/1.1 401"));
-    // Browsers leave at a certificate that they do not know, for each file of the page, and come again once they are told to.
+    // Browsers leave at a certificate that they do not know, for each file of the page, and come again once somebody lets them.
     for _ in 0..20 {
         let stranger = folder.path().join("stranger.pem");
         fs::write(&stranger, rcgen::generate_simple_self_signed(Vec::new()).unwrap().cert.pem()).unwrap();
@@ -309,7 +309,7 @@ async fn many_phones_stream_at_once_and_what_the_radio_loses_is_counted() {
     for ((_, truth), counted) in all.iter().zip(&lost) {
         assert!(counted >= truth, "{all:?}, counted {lost:?}");
     }
-    // Each is told what the stage thinks of it.
+    // Each gets what the stage thinks of it.
     let (_, _, phone) = &mut sent[0];
     let thought = phone.hear("stage").await;
     assert_eq!((&thought["stage"]["sensor"], &thought["stage"]["name"]), (&json!("of p-0"), &json!("hall")));

@@ -15,7 +15,7 @@ const [OLD_MS, TURNED_RAD] = [200, 0.02];
 
 type Asks = { requestPermission?: () => Promise<"granted" | "denied"> };
 
-/** Asks for permission, which has to happen in the handler of a press, before anything else is waited for; then measures until told to stop. */
+/** Asks for permission, which has to happen in the handler of a press, before anything else is waited for; then measures until it is stopped. */
 export async function measure(each: (reading: Reading) => void): Promise<{ stop: () => void } | Refusal> {
   if (!isSecureContext) return "insecure";
   if (typeof DeviceMotionEvent === "undefined") return "none";

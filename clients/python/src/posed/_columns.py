@@ -166,7 +166,7 @@ def gathered(lines: Iterable[bytes]) -> Columns:
     sensors_rows = _SensorsRows(names, states)
     body_rows = _BodyRows(bodies, states, angles, segments)
     for line in lines:
-        # The type stands in front: most messages are told by it without a look at the rest.
+        # The type stands in front: most messages are identified by it without a look at the rest.
         if line.startswith(b'{"type":"sensors"'):
             sensors_rows.add(decode_sensors(line))
         elif line.startswith(b'{"type":"body"'):
@@ -182,7 +182,7 @@ def gathered(lines: Iterable[bytes]) -> Columns:
 
 
 SHOWN = "shown"
-"""State of what a recording shows to viewers: it was good then, and how good is not told."""
+"""State of what a recording shows to viewers: it was good then, and how good is not reported."""
 
 
 def shown(lines: Iterable[bytes], epoch_ns: int) -> Columns:

@@ -2300,7 +2300,7 @@ class Invitation(TypedDict):
     """How a phone comes."""
 
     authority: str | None
-    """What the daemon's own authority is called, which a phone may be told to trust; null where the stage file names a
+    """What the daemon's own authority is called, which a phone may be set to trust; null where the stage file names a
     certificate.
     """
 

@@ -130,7 +130,7 @@ pub(super) async fn accept(
 }
 
 /// Whether a handshake has ended because the other side left it: browsers do at a certificate that they do not know, and come again once
-/// somebody has told them to go on.
+/// somebody lets them go on.
 fn is_leave(error: &std::io::Error) -> bool {
     let inner = error.get_ref().and_then(|inner| inner.downcast_ref::<rustls::Error>());
     matches!(inner, Some(rustls::Error::AlertReceived(_)))

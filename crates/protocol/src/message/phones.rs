@@ -14,7 +14,7 @@ pub struct Invitation {
     pub others: Vec<String>,
     /// `page` as a QR code.
     pub qr: QrCode,
-    /// What the daemon's own authority is called, which a phone may be told to trust; null where the stage file names a certificate.
+    /// What the daemon's own authority is called, which a phone may be set to trust; null where the stage file names a certificate.
     pub authority: Option<String>,
     /// The SHA-256 fingerprint of the authority's certificate; empty where the stage file names a certificate.
     pub fingerprint: String,

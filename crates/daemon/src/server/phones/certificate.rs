@@ -1,6 +1,6 @@
 //! The certificate that phones are served with: made and kept by the daemon.
 //!
-//! In: a folder, and the names and addresses of this computer. Out: an authority of this daemon's own, which a phone can be told to
+//! In: a folder, and the names and addresses of this computer. Out: an authority of this daemon's own, which a phone can be set to
 //! trust, and leaves that it signs. Never: a key that another user of this computer may read, or an authority that could speak for a
 //! name on the internet: it is constrained to local names and private addresses.
 

@@ -56,8 +56,8 @@ struct Connection {
 pub(super) struct Entered {
     gate: Gate,
     pub(super) peer: SocketAddr,
-    /// What it is to be told.
-    pub(super) told: mpsc::Receiver<ToPeer>,
+    /// What goes out to it.
+    pub(super) outgoing: mpsc::Receiver<ToPeer>,
 }
 
 impl Entered {
@@ -125,14 +125,14 @@ impl Gate {
 
     /// A connection comes. `None` where there are too many.
     pub(super) fn enter(&self, peer: SocketAddr) -> Option<Entered> {
-        let (to, told) = mpsc::channel(WAITING);
+        let (to, outgoing) = mpsc::channel(WAITING);
         let mut meeting = self.lock();
         if meeting.connections.len() >= MOST {
             return None;
         }
         meeting.connections.insert(peer, Connection { to, hello: None, newest: None });
         drop(meeting);
-        Some(Entered { gate: self.clone(), peer, told })
+        Some(Entered { gate: self.clone(), peer, outgoing })
     }
 
     /// A connection says something.
@@ -172,12 +172,12 @@ impl Gate {
         let meeting = self.lock();
         for Datagram { peer, data } in datagrams(envelopes).flatten() {
             let Some(connection) = meeting.connections.get(&peer) else { continue };
-            let told = match std::str::from_utf8(data) {
+            let outgoing = match std::str::from_utf8(data) {
                 _ if data.is_empty() => ToPeer::Close(REFUSED),
                 Ok(text) => ToPeer::Text(text.to_owned()),
                 Err(_) => continue,
             };
-            let _ = connection.to.try_send(told);
+            let _ = connection.to.try_send(outgoing);
         }
     }
 
@@ -200,7 +200,7 @@ impl Gate {
     }
 }
 
-/// What a device is told where the stage has none that it could be.
+/// What a device is answered where the stage has none that it could be.
 fn answer_of_nobody(text: &str) -> Option<String> {
     #[derive(Deserialize)]
     struct Said {
@@ -259,14 +259,14 @@ mod tests {
     fn what_is_said_is_in_the_log_and_what_is_transmitted_comes_back() {
         let (gate, clock, inbox) = (Gate::default(), StageClock::start(), Inbox::new(INBOX_CAPACITY));
         gate.lead_to(Reader { device: 3, clock, inbox: inbox.clone() });
-        let mut told = gate.enter(peer(1)).unwrap();
+        let mut entered = gate.enter(peer(1)).unwrap();
         gate.hear(peer(1), r#"{"imu":1,"id":"p-1","name":"Left"}"#);
         gate.transmit(&Datagram { peer: peer(1), data: b"{\"ok\":1}" }.encode());
         gate.transmit(&Datagram { peer: peer(2), data: b"nobody" }.encode());
         gate.transmit(&Datagram { peer: peer(1), data: b"" }.encode());
-        assert_eq!(told.told.try_recv(), Ok(ToPeer::Text("{\"ok\":1}".to_owned())));
-        assert_eq!(told.told.try_recv(), Ok(ToPeer::Close(REFUSED)));
-        drop(told);
+        assert_eq!(entered.outgoing.try_recv(), Ok(ToPeer::Text("{\"ok\":1}".to_owned())));
+        assert_eq!(entered.outgoing.try_recv(), Ok(ToPeer::Close(REFUSED)));
+        drop(entered);
         let said: Vec<Input> = entries(&inbox, clock);
         let Input::Bytes { device: 3, bytes } = &said[1] else { panic!("{said:?}") };
         assert!(datagrams(bytes).next().unwrap().unwrap().data.starts_with(b"{\"imu\""));
@@ -277,29 +277,32 @@ mod tests {
     #[test]
     fn who_is_connected_is_known_without_a_device() {
         let gate = Gate::default();
-        let mut told = gate.enter(peer(1)).unwrap();
+        let mut entered = gate.enter(peer(1)).unwrap();
         gate.hear(peer(1), "nonsense");
         assert_eq!(gate.connected(), []);
         gate.hear(peer(1), r#"{"imu":1,"id":"p-1","name":"Left"}"#);
-        assert_eq!(told.told.try_recv(), Ok(ToPeer::Text(r#"{"epoch":0,"id":"p-1","ok":1}"#.to_owned())));
+        assert_eq!(
+            entered.outgoing.try_recv(),
+            Ok(ToPeer::Text(r#"{"epoch":0,"id":"p-1","ok":1}"#.to_owned()))
+        );
         gate.hear(peer(1), r#"{"s":0,"b":[[1,2,0,0,0,0,0,9.8,1,0,0,0],[2,3,0,0,0,0,0,9.8,0.6,0.8,0,0]]}"#);
         let [connected] = &gate.connected()[..] else { panic!() };
         assert_eq!(
             (connected.hello.name.as_str(), connected.orientation_wxyz),
             ("Left", Some([0.6, 0.8, 0.0, 0.0]))
         );
-        drop(told);
+        drop(entered);
         assert_eq!(gate.connected(), []);
     }
 
     #[test]
     fn answers_that_a_phone_does_not_take_are_left_out() {
         let gate = Gate::default();
-        let mut told = gate.enter(peer(1)).unwrap();
+        let mut entered = gate.enter(peer(1)).unwrap();
         for n in 0..2 * WAITING {
             gate.transmit(&Datagram { peer: peer(1), data: n.to_string().as_bytes() }.encode());
         }
-        let taken = std::iter::from_fn(|| told.told.try_recv().ok()).count();
+        let taken = std::iter::from_fn(|| entered.outgoing.try_recv().ok()).count();
         assert_eq!(taken, WAITING);
     }
 

@@ -1,4 +1,4 @@
-//! Where a device that sends to `/imu` sits in the stage, by its id, and what is told to it.
+//! Where a device that sends to `/imu` sits in the stage, by its id, and what is reported to it.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -44,7 +44,7 @@ impl Placing {
         self.by_id.get(id).map(|placed| placed.sensor.as_str())
     }
 
-    /// What a device is told of itself.
+    /// What is reported to a device of itself.
     pub(super) fn report(&self, id: &str, status: &Status) -> Value {
         let Some(placed) = self.by_id.get(id) else {
             return json!({"stage": {"name": &*self.stage, "state": "found"}});

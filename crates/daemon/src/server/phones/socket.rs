@@ -57,7 +57,7 @@ impl Phone {
             let step = tokio::select! {
                 biased;
                 () = ended(&mut shutdown) => return End::Close(self.context.makes_way.goodbye()),
-                told = self.entered.told.recv() => match told {
+                outgoing = self.entered.outgoing.recv() => match outgoing {
                     Some(ToPeer::Text(text)) => self.send(Message::Text(text.into())).await,
                     Some(ToPeer::Close(close)) => {
                         self.breach();
