@@ -7,6 +7,7 @@ mod learnt;
 mod people;
 mod shoulders;
 mod travel;
+mod walks;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_baselines::limbs::EulerBody;
@@ -403,6 +404,9 @@ fn main() {
     }
     if only.as_ref().is_none_or(|only| "people".contains(only.as_str())) {
         people::table();
+    }
+    if only.as_ref().is_none_or(|only| "walks".contains(only.as_str())) {
+        walks::table();
     }
     if only.as_ref().is_none_or(|only| "slips".contains(only.as_str())) {
         learnt::slips();

@@ -396,15 +396,11 @@ fn row(name: &str, all: &[Figures]) -> String {
     )
 }
 
-type Named = (String, Result<Arc<Take>, String>);
+pub(super) type Named = (String, Result<Arc<Take>, String>);
 
 /// Who was recorded: four captures of CMU, and ten styles of Bandai Namco's people, each of all that was recorded of it.
 fn people() -> Vec<Named> {
-    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
-    let data = std::env::var_os("SHARED_DATA").map_or(beside, PathBuf::from);
-    let take = |recordings: Vec<Recording>| {
-        Take::new(recordings, HEIGHT_M).map(Arc::new).map_err(|error| error.to_string())
-    };
+    let data = data();
     let mut people = Vec::new();
     for name in ["13_29", "13_30", "14_20", "86_01"] {
         let path = data.join(format!("cmu-labelled/{name}.csv.gz"));
@@ -413,18 +409,38 @@ fn people() -> Vec<Named> {
             people.push((name.to_owned(), recording.and_then(|recording| take(vec![recording]))));
         }
     }
-    let mut styles: Vec<(String, String)> = styles(&data.join("bandai-motions")).into_iter().collect();
+    let mut styles: Vec<(String, String)> =
+        styles(&data.join("bandai-motions"), |_| true).into_iter().collect();
     styles.sort_by_key(|(name, rows)| (usize::MAX - rows.len(), name.clone()));
-    for (name, rows) in styles.into_iter().take(STYLES) {
-        let recording = Recording::of_table(Path::new(&name), rows.as_bytes(), Some(30.0));
-        let recording = recording.map_err(|error| error.to_string());
-        people.push((name, recording.and_then(|recording| take(vec![recording]))));
-    }
+    people.extend(styles.into_iter().take(STYLES).map(|(name, rows)| styled(name, &rows)));
     people
 }
 
-/// Tables by style: clips are called action_style_number.
-fn styles(folder: &Path) -> BTreeMap<String, String> {
+/// Everybody of Bandai Namco's people who was recorded in these actions, by style.
+pub(super) fn who(actions: &[&str]) -> Vec<Named> {
+    let styles = styles(&data().join("bandai-motions"), |action| actions.contains(&action));
+    styles.into_iter().map(|(name, rows)| styled(name, &rows)).collect()
+}
+
+fn styled(name: String, rows: &str) -> Named {
+    let recording = Recording::of_table(Path::new(&name), rows.as_bytes(), Some(30.0));
+    let recording = recording.map_err(|error| error.to_string());
+    let take = recording.and_then(|recording| take(vec![recording]));
+    (name, take)
+}
+
+fn take(recordings: Vec<Recording>) -> Result<Arc<Take>, String> {
+    Take::new(recordings, HEIGHT_M).map(Arc::new).map_err(|error| error.to_string())
+}
+
+/// Where the recordings are that are not in the repository.
+fn data() -> PathBuf {
+    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
+    std::env::var_os("SHARED_DATA").map_or(beside, PathBuf::from)
+}
+
+/// Tables of some actions by style: clips are called action_style_number.
+fn styles(folder: &Path, is_asked: impl Fn(&str) -> bool) -> BTreeMap<String, String> {
     let mut styles: BTreeMap<String, String> = BTreeMap::new();
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let mut paths: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
@@ -437,7 +453,11 @@ fn styles(folder: &Path) -> BTreeMap<String, String> {
         }
         let Some((header, rows)) = text.split_once('\n') else { continue };
         for row in rows.lines() {
-            let style = row.split(',').next().unwrap_or_default().split('_').nth(1).unwrap_or_default();
+            let mut clip = row.split(',').next().unwrap_or_default().split('_');
+            let (action, style) = (clip.next().unwrap_or_default(), clip.next().unwrap_or_default());
+            if !is_asked(action) {
+                continue;
+            }
             let table = styles.entry(style.to_owned()).or_insert_with(|| format!("{header}\n"));
             table.push_str(row);
             table.push('\n');

@@ -40,7 +40,7 @@ export const ASKS: Record<string, string> = {
   n_pose: "Aufrecht stehen, Arme hängen, Handflächen am Körper, und still halten",
   t_pose: "Beide Arme seitlich auf Schulterhöhe heben, Handflächen nach unten, Daumen nach vorn, und still halten",
   bow: "Mit geradem Rücken nach vorn beugen und wieder aufrichten, zweimal; dann still stehen",
-  walk: "Umhergehen wie gewohnt, mit schwingenden Armen, geradeaus und in Kurven, eine halbe Minute lang",
+  walk: "Umhergehen wie gewohnt, immer vorwärts, mit schwingenden Armen, geradeaus und in Kurven, eine halbe Minute lang",
   trunk_rotation: "Die Brust nach links drehen und zurück, zweimal, Hüfte still; dann still stehen",
   neck_flexion: then("Nicken, Kinn zur Brust und wieder hoch"),
   elbow_flexion_r: elbow("rechten"), elbow_flexion_l: elbow("linken"), knee_flexion_r: knee("rechte"), knee_flexion_l: knee("linke"),

@@ -484,7 +484,9 @@ fn words(kind: BlockKind) -> &'static str {
             "Raise both arms sideways to the height of the shoulders, palms down, thumbs forward, and hold still"
         }
         BlockKind::Bow => "Bow forward with a straight back and come up again, twice; then stand still",
-        BlockKind::Walk => "Walk about as you do, arms swinging, straight on and in turns, for half a minute",
+        BlockKind::Walk => {
+            "Walk about as you do, always forwards, arms swinging, straight on and in turns, for half a minute"
+        }
         BlockKind::TrunkRotation => {
             "Turn the chest to the left and back, twice, hips still; then stand still"
         }

@@ -202,3 +202,29 @@ fn who_walks_needs_no_pose() {
         );
     }
 }
+
+/// Strides that go back and forth do not show which way is ahead: it says so at once, and asks for the walk again.
+#[test]
+fn who_walks_back_and_forth_walks_once_more() {
+    let spec = WearerSpec { rate_hz: 50.0, ..spec(ahead(Activity::Strolling), 3) };
+    let (there, _) = record(&mut Wearer::new(spec.clone()), 14.0);
+    let mut guide = Guide::new(FIFTEEN, true, Thoroughness::Movement);
+    // The same in reverse is the way back, backwards.
+    let back = there.iter().rev().map(|(_, samples)| {
+        samples.map(|sample| sample.map(|sample| ImuSample { gyro_rad_s: -sample.gyro_rad_s, ..sample }))
+    });
+    let walk = there.iter().map(|(_, samples)| *samples).chain(back);
+    let mut t_s = 0.0;
+    walk.for_each(|samples| {
+        t_s += 0.02;
+        guide.push(t_s, &samples);
+    });
+    let (count, objection) = guide.objection();
+    assert_eq!((count, guide.progress().0), (1, 0));
+    assert!(objection.is_some_and(|sentence| sentence.contains("always forwards")), "{objection:?}");
+    record(&mut Wearer::new(spec), 30.0)
+        .0
+        .iter()
+        .for_each(|(from_s, samples)| guide.push(t_s + from_s, samples));
+    assert_eq!((guide.prompt(), guide.objection().0), (None, 1));
+}

@@ -196,3 +196,20 @@ fn who_only_walks_is_calibrated_roughly_and_then_better() {
         assert!(off_deg(&filter, segment).0 < 4.0, "{segment:?}");
     }
 }
+
+/// Knees that are hardly straightened have their long tail on the other side: where the feet go shows it.
+#[test]
+fn who_strolls_in_small_laps_is_found_to_face_ahead() {
+    for activity in [Activity::Strolling, Activity::Climbing, Activity::Lap] {
+        let strolls = Script { activity, calibration: false, facing: 0.6, mistake: None };
+        let mut wearer = Wearer::new(WearerSpec { clumsiness_rad: 0.03, ..spec(strolls, 4) });
+        let (recording, _) = record(&mut wearer, 20.0);
+        let walk = [Block { kind: BlockKind::Walk, start_s: 0.0, end_s: 20.0 }];
+        let found = calibrate(&recording, &walk, &Skeleton::from_height(1.8), &UNKNOWN).unwrap();
+        for segment in [BodySegment::Pelvis, BodySegment::ThighR, BodySegment::ShankL] {
+            let mount = found.mounts[segment.index()].unwrap();
+            let off_rad = mount.q_segment_sensor.angle_to(&wearer.mounting(segment.index()).0);
+            assert!(off_rad < 0.45, "{activity:?}, {segment:?}: {off_rad}");
+        }
+    }
+}

@@ -124,6 +124,11 @@ pub enum Contradiction {
         /// By how much, degrees.
         found_deg: f64,
     },
+    /// A walk on which neither strides nor knees show which way is ahead.
+    #[error(
+        "the walk does not show which way the body faces: walk about once more, always forwards, some steps straight on"
+    )]
+    NoWay,
     /// Two movements show two bodies.
     #[error(
         "{first} and {second} disagree by {found_deg:.0} degrees about which way the body faces: repeat them as they are described, and see \

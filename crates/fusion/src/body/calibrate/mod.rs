@@ -13,6 +13,7 @@
 mod contradiction;
 mod facing;
 mod session;
+mod strides;
 #[cfg(test)]
 mod tests;
 mod walk;
@@ -36,6 +37,8 @@ use crate::mounting::Refused;
 pub const REPEAT_DEG: f64 = 5.0;
 /// And by more than this it is refused, degrees.
 const REFUSE_DEG: f64 = 15.0;
+/// The height of somebody of whom none is known, m.
+const USUAL_M: f64 = 1.7;
 /// How well people hold what they are asked to, degrees.
 const POSE_DEG: f64 = 3.0;
 
@@ -229,6 +232,10 @@ pub(super) fn objection_to(
 ) -> Option<CalibrationError> {
     let objection = || {
         let session = Session::new(recording, tracks)?;
+        if let Some(block) = blocks.iter().find(|block| block.kind == BlockKind::Walk) {
+            // Lengths are of no matter for which way somebody goes.
+            return walk::check(&session, block, &Skeleton::from_height(USUAL_M));
+        }
         if !assigned {
             let is_pose = |block: &&Block| matches!(block.kind, BlockKind::NPose | BlockKind::TPose);
             let seen = session.seen(&blocks.iter().filter(is_pose).copied().collect::<Vec<_>>())?;

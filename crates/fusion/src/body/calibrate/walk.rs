@@ -1,10 +1,12 @@
 //! How sensors sit, from somebody who walks about: no pose is held.
 //!
 //! In: a recording of a body with magnetometers whose legs wear sensors on thighs and shanks. Out: a mounting of every sensor, good to some degrees, with what that leaves
-//! open: the filters of arms and legs go on from there. It refuses where the knees do not show which way the body faces.
+//! open: the filters of arms and legs go on from there. It refuses where neither the feet nor the knees show which way the body faces.
 //!
-//! Knees bend one way: straight most of the time, and far for a moment in each stride, so that the axis between thigh and shank points to the side on which the long tail of
-//! the angle lies. Both knees show which way the body faces at every moment, and relative to that, on average over the strides, every segment hangs nearly upright.
+//! The axis between thigh and shank shows which way the body faces at every moment, but for its sign. Somebody who walks goes ahead, whichever way most [strides](super::strides)
+//! go: whoever goes backwards all the time is taken to face the other way. Who walks on the spot shows it by knees that are straight most of the time, and far bent for a moment in each stride: the axis points to the side on
+//! which the long tail of the angle lies. (Who strolls in small laps hardly straightens them, and has the long tail on the other side.) Relative to where the body faces, on
+//! average over the strides, every segment hangs nearly upright.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -13,7 +15,8 @@ use super::super::block::Block;
 use super::super::skeleton::{BodySegment, SEGMENTS, Skeleton, upright};
 use super::facing::forward;
 use super::session::Session;
-use super::{Calibrated, CalibrationError, SegmentAxis, wahba};
+use super::strides::strides;
+use super::{Calibrated, CalibrationError, Contradiction, SegmentAxis, wahba};
 use crate::mounting::Refused;
 use posed_geometry::so3;
 
@@ -24,6 +27,10 @@ const STRAIGHT_RAD: f64 = 0.05;
 const STRAIGHTER: f64 = 0.1;
 /// A distribution that is less skewed than that shows no way in which a joint bends.
 const SKEWED: f64 = 0.3;
+/// A stride that is shorter is a step on the spot, m; so many that are longer, and so large a part of them one way, show which way somebody goes.
+const GOES_M: f64 = 0.25;
+const STRIDES: usize = 6;
+const ONE_WAY: f64 = 0.8;
 
 /// By how much the mean posture of a walk may differ from the N-pose about the segment's axes, degrees.
 fn sigma_deg(segment: BodySegment) -> [f64; 3] {
@@ -39,11 +46,91 @@ fn sigma_deg(segment: BodySegment) -> [f64; 3] {
     }
 }
 
-/// The axis of a knee in both sensors, and by how much the shank is bent against the thigh on average, rad.
+/// The axis of a knee in both sensors, and the angles about it, rad: of which sign is open until [`Knee::turn`].
 struct Knee {
     segments: [BodySegment; 2],
     axes: [Vector3<f64>; 2],
-    mean_rad: f64,
+    /// About their mean, in the order of time.
+    angles_rad: Vec<f64>,
+}
+
+impl Knee {
+    /// The other way round.
+    fn turn(&mut self) {
+        self.axes.iter_mut().for_each(|axis| *axis = -*axis);
+        self.angles_rad.iter_mut().for_each(|angle_rad| *angle_rad = -*angle_rad);
+    }
+
+    /// Positive where the long tail of the angles is; without unit.
+    fn skewness(&self) -> f64 {
+        let moment = |power: i32| {
+            self.angles_rad.iter().map(|angle_rad| angle_rad.powi(power)).sum::<f64>()
+                / self.angles_rad.len() as f64
+        };
+        moment(3) / moment(2).sqrt().powi(3).max(f64::MIN_POSITIVE)
+    }
+
+    /// By how much the shank is bent against the thigh on average, if the knee is nearly straight at its straightest, rad.
+    fn mean_rad(&self) -> f64 {
+        let mut sorted_rad = self.angles_rad.clone();
+        sorted_rad.sort_by(f64::total_cmp);
+        let last = sorted_rad.len().saturating_sub(1);
+        STRAIGHT_RAD - sorted_rad.get((STRAIGHTER * last as f64) as usize).copied().unwrap_or_default()
+    }
+
+    /// Where a body with that knee looks, room, level; short where the axis is steep.
+    fn ahead(&self, session: &Session<'_>, at: usize) -> Vector3<f64> {
+        forward(&(session.tracks[self.segments[0].index()][at] * self.axes[0]), &(upright() * -Vector3::z()))
+    }
+}
+
+/// Both knees, with axes to the body's right.
+fn knees(session: &Session<'_>, block: &Block, skeleton: &Skeleton) -> Result<Vec<Knee>, CalibrationError> {
+    let legs = [[BodySegment::ThighR, BodySegment::ShankR], [BodySegment::ThighL, BodySegment::ShankL]];
+    let worn = legs.into_iter().filter(|leg| leg.iter().all(|segment| session.present[segment.index()]));
+    let mut knees: Vec<Knee> = worn.map(|leg| knee(session, block, leg)).collect::<Result<_, _>>()?;
+    let range = session.range(block);
+    if let [first, second] = knees.as_mut_slice() {
+        let along = range.clone().map(|k| first.ahead(session, k).dot(&second.ahead(session, k)));
+        if along.sum::<f64>() < 0.0 {
+            second.turn();
+        }
+    }
+    let ahead = |at: usize| {
+        let sum: Vector3<f64> = knees.iter().map(|knee| knee.ahead(session, at)).sum();
+        sum.try_normalize(0.0).unwrap_or_default()
+    };
+    let strides_m: Vec<f64> = knees
+        .iter()
+        .flat_map(|knee| {
+            let shank = knee.segments[1];
+            let above_ankle_m = (skeleton.usual_sensor_m(shank) - skeleton.end_in_segment_m(shank)).norm();
+            strides(session, shank, range.clone(), above_ankle_m)
+        })
+        .map(|stride| stride.way_m.dot(&ahead(stride.middle)))
+        .collect();
+    let skewnesses: Vec<f64> = knees.iter().map(Knee::skewness).collect();
+    if knees.is_empty() {
+        return Ok(knees);
+    }
+    if way(&strides_m, &skewnesses).ok_or(Contradiction::NoWay)? < 0.0 {
+        knees.iter_mut().for_each(Knee::turn);
+    }
+    Ok(knees)
+}
+
+/// Which way is ahead, 1 or -1: by strides of these lengths, m, or where hardly any goes anywhere, by knees of these skewnesses.
+fn way(strides_m: &[f64], skewnesses: &[f64]) -> Option<f64> {
+    let [ahead, back] =
+        [1.0, -1.0].map(|way| strides_m.iter().filter(|stride_m| way * **stride_m > GOES_M).count());
+    let all = ahead + back;
+    if all >= STRIDES {
+        let one_way = ahead.max(back) as f64 >= ONE_WAY * all as f64;
+        return one_way.then_some(if ahead > back { 1.0 } else { -1.0 });
+    }
+    let mean = skewnesses.iter().sum::<f64>() / skewnesses.len() as f64;
+    let agree = skewnesses.iter().all(|skewness| skewness * mean > 0.0);
+    (agree && mean.abs() >= SKEWED).then_some(mean.signum())
 }
 
 pub(super) fn calibrate(
@@ -56,23 +143,17 @@ pub(super) fn calibrate(
         let fix = "poses: without magnetometers in all sensors walking does not show it";
         return Err(CalibrationError::Facing { of: "the body", fix });
     }
-    let legs = [[BodySegment::ThighR, BodySegment::ShankR], [BodySegment::ThighL, BodySegment::ShankL]];
-    let worn = legs.into_iter().filter(|leg| leg.iter().all(|segment| session.present[segment.index()]));
-    let knees: Vec<Knee> = worn.map(|leg| knee(session, block, leg)).collect::<Result<_, _>>()?;
+    let knees = knees(session, block, skeleton)?;
     if knees.is_empty() {
         let fix = "sensors on a thigh and its shank, or poses";
         return Err(CalibrationError::Facing { of: "the body", fix });
     }
     // Which way the body faces at every moment.
-    let nominal = upright() * -Vector3::z();
     let range = session.range(block);
     let bodies: Vec<UnitQuaternion<f64>> = range
         .clone()
         .map(|k| {
-            let ahead: Vector3<f64> = knees
-                .iter()
-                .map(|knee| forward(&(session.tracks[knee.segments[0].index()][k] * knee.axes[0]), &nominal))
-                .sum();
+            let ahead: Vector3<f64> = knees.iter().map(|knee| knee.ahead(session, k)).sum();
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), libm::atan2(ahead.y, ahead.x)) * upright()
         })
         .collect();
@@ -93,7 +174,7 @@ pub(super) fn calibrate(
             .find_map(|knee| Some((knee, knee.segments.iter().position(|known| *known == segment)?)))
         {
             // What the knee bends is shared by thigh and shank: forwards the one, backwards the other.
-            let bent = so3::exp(&(Vector3::z() * knee.mean_rad * [-0.5, 0.5][which]));
+            let bent = so3::exp(&(Vector3::z() * knee.mean_rad() * [-0.5, 0.5][which]));
             q_segment_sensor = bent * q_segment_sensor;
             let upright = [Vector3::x(), Vector3::y()].map(|axis| SegmentAxis {
                 sensor: q_segment_sensor.inverse() * axis,
@@ -115,13 +196,13 @@ pub(super) fn calibrate(
     Ok(out)
 }
 
-/// Of one leg.
+/// Of one leg, its axis to either side.
 fn knee(session: &Session<'_>, block: &Block, segments: [BodySegment; 2]) -> Result<Knee, CalibrationError> {
     let [thigh, shank] = segments;
     let range = session.range(block);
     let failed = |reason| CalibrationError::movement(block, reason);
     let (axes, _) = session.pair(thigh, shank, None, range.clone()).map_err(failed)?;
-    let [Some(mut first), Some(mut second)] = axes else {
+    let [Some(first), Some(second)] = axes else {
         return Err(failed(Refused::Excitation { found: 0.0, needed: 1.0 }));
     };
     let (above, below) =
@@ -132,18 +213,19 @@ fn knee(session: &Session<'_>, block: &Block, segments: [BodySegment; 2]) -> Res
         so3::log(&(middle.inverse() * (a.inverse() * b))).dot(&second)
     };
     let mut angles_rad: Vec<f64> = above.iter().zip(below).map(angle).collect();
-    let count = angles_rad.len() as f64;
-    let mean_rad = angles_rad.iter().sum::<f64>() / count;
-    let moment =
-        |power: i32| angles_rad.iter().map(|angle| (angle - mean_rad).powi(power)).sum::<f64>() / count;
-    let skewness = moment(3) / moment(2).sqrt().powi(3).max(f64::MIN_POSITIVE);
-    if skewness.abs() < SKEWED {
-        return Err(failed(Refused::Excitation { found: skewness.abs(), needed: SKEWED }));
-    }
-    let way = skewness.signum();
-    (first, second) = (first * way, second * way);
-    angles_rad.iter_mut().for_each(|angle| *angle = (*angle - mean_rad) * way);
-    angles_rad.sort_by(f64::total_cmp);
-    let straightest_rad = angles_rad[(STRAIGHTER * (count - 1.0)) as usize];
-    Ok(Knee { segments, axes: [first, second], mean_rad: STRAIGHT_RAD - straightest_rad })
+    let mean_rad = angles_rad.iter().sum::<f64>() / angles_rad.len() as f64;
+    angles_rad.iter_mut().for_each(|angle_rad| *angle_rad -= mean_rad);
+    Ok(Knee { segments, axes: [first, second], angles_rad })
+}
+
+/// Whether a walk shows which way the body faces.
+///
+/// # Errors
+/// [`Contradiction::NoWay`] where neither its strides nor the knees do.
+pub(super) fn check(
+    session: &Session<'_>,
+    block: &Block,
+    skeleton: &Skeleton,
+) -> Result<(), CalibrationError> {
+    knees(session, block, skeleton).map(|_| ())
 }
