@@ -3,7 +3,7 @@
 // In: an address. Out: typed messages to listeners or as a stream, and an answer or a refusal to every request. It knows nothing of
 // pages: it runs wherever there is a WebSocket, or something that behaves like one.
 
-import type { Answers, Call, Feed, Hello, ServerMessage, Topic } from "./posed.v1.js";
+import type { Answers, Call, Feed, Hello, RefusalReason, ServerMessage, Topic } from "./posed.v1.js";
 
 /** Waits before the first, second, ... attempt to connect again, ms; the last one from then on. */
 const RETRY_MS = [500, 1000, 2000, 5000];
@@ -35,9 +35,12 @@ export interface Options {
   socket?: (address: string, protocol: string) => WebSocket;
 }
 
-/** What a request was refused with: a code for programs, a sentence for people. The code is `lost` where the connection broke first. */
+/**
+ * What a request was refused with: a code for programs, a sentence for people, and where other languages have it which sentence it is and what it
+ * names. The code is `lost` where the connection broke first.
+ */
 export class Refused extends Error {
-  constructor(readonly code: string, sentence: string) {
+  constructor(readonly code: string, sentence: string, readonly reason: RefusalReason | null = null, readonly values: Record<string, string> = {}) {
     super(sentence);
   }
 }
@@ -196,7 +199,7 @@ export class Client {
       const waiting = this.waiting.get(message.id);
       this.waiting.delete(message.id);
       if (message.type === "ok") waiting?.resolve(message.result);
-      else waiting?.reject(new Refused(message.code, message.message));
+      else waiting?.reject(new Refused(message.code, message.message, message.reason, message.values));
       return;
     }
     if ("event_id" in message) this.lastEvent = Math.max(this.lastEvent ?? 0, message.event_id);

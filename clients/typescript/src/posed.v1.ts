@@ -688,6 +688,10 @@ export type ErrorReply = {
   id: RequestId | null;
   /** For people: what was wrong and what would be right, in one sentence. */
   message: string;
+  /** Which sentence, for who says it in another language; null where only `message` has it. */
+  reason?: RefusalReason | null;
+  /** What the sentence names, by name: all that another language needs to say `reason`. */
+  values?: Record<string, string>;
 };
 
 /** A taught exercise. */
@@ -897,6 +901,39 @@ export type Feed = {
 
 /** Something that a `sensors` entry can say; name and state are always said. */
 export type Field = "name" | "state" | "device" | "position_m" | "orientation_wxyz" | "sigma_m" | "measured" | "covariance" | "velocity" | "quality" | "fault" | "change";
+
+/** What somebody is asked to do with the pole. Directions and places are in the transmitter's frame. */
+export type FieldAsk = {
+  ask: "show";
+} | {
+  ask: "move";
+} | {
+  ask: "begin";
+  /** Instants that could be used so far. */
+  instants: number;
+} | {
+  /** Which. */
+  along: [number, number, number];
+  ask: "carry";
+  /** How far its middle has moved that way (standard deviation), m. */
+  moved_m: number;
+} | {
+  /** Which. */
+  along: [number, number, number];
+  ask: "hold";
+} | {
+  /** Which. */
+  along: [number, number, number];
+  ask: "hold_once";
+} | {
+  ask: "visit";
+  /** Middle of what was not, m. */
+  near_m: [number, number, number];
+  /** Share of the volume that was visited, 0 to 1. */
+  visited: number;
+} | {
+  ask: "go_on";
+};
 
 /** What every data message starts with, and its body. */
 export type FieldEventMessage = ({
@@ -1115,6 +1152,8 @@ export type Hello = {
   topics: Topic[];
   /** Magnetic transmitter to room, as the stage file has it; a `field` event tells when it is changed. */
   transmitter: Pose;
+  /** Whether the stage file says how the transmitter stands; without, `transmitter` is where the room's axes are taken from. */
+  transmitter_given: boolean;
   /** Version of the daemon. */
   version: string;
 };
@@ -1671,6 +1710,8 @@ export type Problem = {
 
 /** How far a run is. */
 export type Progress = {
+  /** The same for programs; null when there is enough. */
+  asks: FieldAsk | null;
   /** False once the run has ended: it is the last of its reports. */
   collecting: boolean;
   /** Share of the 20 cm cells inside the hull that the pole came near, 0 to 1. */
@@ -1733,6 +1774,9 @@ export type Recordings = {
   /** Their names, in order. */
   recordings: string[];
 };
+
+/** Why a request was not carried out, as far as other languages than English say it. Words in backquotes are names of `values`. */
+export type RefusalReason = "bad_name" | "file_changed" | "hub" | "is_read" | "is_recorded" | "is_watched" | "is_written" | "job_runs" | "jobs_run" | "no_attached_imu" | "no_body" | "no_file" | "no_imu" | "no_magnetic" | "no_sensor" | "no_take" | "not_magnetic" | "nothing_collected" | "pole_sensors" | "pole_spacing" | "repetitions" | "requests_wait" | "session_runs" | "take_exists" | "watches";
 
 /** How a stage's clock stands to the hub's. */
 export type RelatedClock = {
@@ -1967,6 +2011,8 @@ export type SensorStatus = {
   battery: number | null;
   /** Voltage of its battery, V; null likewise. */
   battery_v: number | null;
+  /** Whether its records are corrected by its unit's own biases and scales (`imu.calibrate`), kept from before or found just now. */
+  corrected: boolean;
   /** Whether `lost` is partly estimated, because whole cycles left no trace in the bytes. */
   estimated: boolean;
   /** Expected samples that were not published as `ok`, but for those with which its filter began. */
@@ -2208,6 +2254,12 @@ export type StageChange = {
   change: "name_stage";
   /** Which. */
   name: string;
+} | {
+  change: "place_transmitter";
+  /** Turns transmitter coordinates into room coordinates: unit quaternion, scalar first. */
+  orientation_wxyz: [number, number, number, number];
+  /** Its place, m. */
+  position_m: [number, number, number];
 } | {
   change: "add";
   /** Its keys, as in the stage file. */

@@ -12,9 +12,9 @@ use super::clock::StageClock;
 use super::fusion::FusionInbox;
 use super::jobs::Jobs;
 use super::observers::{Observer, Times};
-use super::server::Reply;
+use super::server::{Refusal, Reply};
 use posed_field::{Anchor, FieldMap, PoleRun, Prepared, solve};
-use posed_protocol::AnchorSpec;
+use posed_protocol::{AnchorSpec, RefusalReason};
 use posed_recording::AtomicFile;
 use posed_stage::input::{Entry, Input, Model, Request};
 use posed_stage::output::Output;
@@ -172,14 +172,14 @@ impl Calibration {
     pub(super) fn start(&self, sensors: Vec<String>, spacing_m: f64, reply: Reply) {
         let twice = (1..sensors.len()).any(|k| sensors[..k].contains(&sensors[k]));
         if sensors.len() < 3 || twice {
-            reply.error(
-                "bad_request",
-                "sensors: name three or more, each once, in their order along the pole",
-            );
+            let sentence = "sensors: name three or more, each once, in their order along the pole";
+            reply.refuse(Refusal::bad_request(sentence).because(RefusalReason::PoleSensors));
         } else if !(spacing_m.is_finite() && spacing_m > 0.0) {
-            reply.error("bad_request", "spacing_m: give the measured distance, above 0");
+            let sentence = "spacing_m: give the measured distance, above 0";
+            reply.refuse(Refusal::bad_request(sentence).because(RefusalReason::PoleSpacing));
         } else if let Some(name) = sensors.iter().find(|name| !self.sensors.contains(name)) {
-            reply.error("bad_request", format!("sensors: this stage has no sensor {name:?}"));
+            let sentence = format!("sensors: this stage has no sensor {name:?}");
+            reply.refuse(Refusal::bad_request(sentence).because(RefusalReason::NoSensor).with("name", name));
         } else {
             self.request(Request::FieldStart { sensors, spacing_m });
             reply.ok(None);
@@ -198,8 +198,8 @@ impl Calibration {
     fn solve(&self, run: &PoleRun) {
         let Some((reply, anchors)) = self.lock().requested.take() else { return };
         if run.frames.is_empty() {
-            reply.error("failed", "nothing was collected: begin with field.start and move the pole");
-            return;
+            let sentence = "nothing was collected: begin with field.start and move the pole";
+            return reply.refuse(Refusal::failed(sentence).because(RefusalReason::NothingCollected));
         }
         if let Err(error) = run.check_order() {
             reply.error("failed", error.to_string());

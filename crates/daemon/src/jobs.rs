@@ -10,8 +10,8 @@ use std::time::Duration;
 use posed_drivers::Timestamp;
 
 use super::clock::StageClock;
-use super::server::{Hub, Reply};
-use posed_protocol::{Answer, JobState, Started};
+use super::server::{Hub, Refusal, Reply};
+use posed_protocol::{Answer, JobState, RefusalReason, Started};
 
 /// Jobs that have ended and are still listed.
 const ENDED: usize = 16;
@@ -104,8 +104,10 @@ impl Jobs {
         work: impl FnOnce(&Job) -> Result<String, Failure> + Send + 'static,
     ) {
         if self.is_full() {
-            return reply
-                .error("busy", format!("{RUNNING} jobs are running already; wait for one, or cancel it"));
+            let sentence = format!("{RUNNING} jobs are running already; wait for one, or cancel it");
+            return reply.refuse(
+                Refusal::new("busy", sentence).because(RefusalReason::JobsRun).with("count", RUNNING),
+            );
         }
         let job = self.begin(kind);
         let number = job.number();

@@ -2,6 +2,7 @@
 //!
 //! In: the folder, names that clients give. Out: names in order, paths. Never: a path that leads out of the folder.
 
+use posed_protocol::RefusalReason;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -28,7 +29,9 @@ impl From<FindError> for Refusal {
     fn from(error: FindError) -> Self {
         match error {
             FindError::Folder { .. } => Self::failed(error),
-            FindError::Unknown(_) => Self::new("not_found", error),
+            FindError::Unknown(ref name) => {
+                Self::new("not_found", &error).because(RefusalReason::NoTake).with("name", name)
+            }
         }
     }
 }
@@ -67,7 +70,7 @@ pub struct BadName;
 
 impl From<BadName> for Refusal {
     fn from(error: BadName) -> Self {
-        Self::bad_request(error)
+        Self::bad_request(error).because(RefusalReason::BadName)
     }
 }
 

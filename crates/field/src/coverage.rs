@@ -1,11 +1,14 @@
 //! Whether the pole was in enough places and held in enough directions, and what to do next.
 
+use std::fmt;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::hull::Hull;
 use super::pole::PoleRun;
 use super::problem::line;
 use super::report::{Code, Reason};
+use serde::{Deserialize, Serialize};
 
 /// Side of a cell, and how near a reading must come to its middle, m.
 const CELL_M: f64 = 0.2;
@@ -27,6 +30,94 @@ const LEAST_FRAMES: usize = 100;
 /// Most places that are named as unvisited.
 const MOST_UNVISITED: usize = 60;
 
+/// What somebody is asked to do with the pole. Directions and places are in the transmitter's frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[cfg_attr(feature = "schema", schemars(rename = "FieldAsk"))]
+#[serde(tag = "ask", rename_all = "snake_case")]
+pub enum Ask {
+    /// Switch its sensors on, or bring it near: none of them is seen.
+    Show,
+    /// Move it.
+    Move,
+    /// Move it for a minute: there is too little to judge by.
+    Begin {
+        /// Instants that could be used so far.
+        instants: usize,
+    },
+    /// Carry it along a direction.
+    Carry {
+        /// How far its middle has moved that way (standard deviation), m.
+        moved_m: f64,
+        /// Which.
+        along: [f64; 3],
+    },
+    /// Hold it along a direction, in which it was hardly ever.
+    Hold {
+        /// Which.
+        along: [f64; 3],
+    },
+    /// The same, where it never was.
+    HoldOnce {
+        /// Which.
+        along: [f64; 3],
+    },
+    /// Go near a place.
+    Visit {
+        /// Share of the volume that was visited, 0 to 1.
+        visited: f64,
+        /// Middle of what was not, m.
+        near_m: [f64; 3],
+    },
+    /// Go on: everything was seen, but too briefly.
+    GoOn,
+}
+
+impl Ask {
+    /// Why a map is not used while this is missing.
+    pub(crate) fn reason(&self) -> Reason {
+        let code = match self {
+            Self::Hold { .. } | Self::HoldOnce { .. } => Code::Excitation,
+            _ => Code::Coverage,
+        };
+        Reason { code, text: self.to_string() }
+    }
+}
+
+impl fmt::Display for Ask {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Show => write!(out, "move the pole: none of its sensors is seen yet"),
+            Self::Move => write!(out, "move the pole"),
+            Self::Begin { instants } => {
+                write!(out, "only {instants} usable instants; move the pole for a minute")
+            }
+            Self::Carry { moved_m, along } => write!(
+                out,
+                "the middle of the pole moved only {:.0} mm along {}; carry it farther that way",
+                1e3 * moved_m,
+                text_of(&(*along).into())
+            ),
+            Self::Hold { along } => {
+                write!(
+                    out,
+                    "the pole was hardly ever held along {}; hold it that way",
+                    text_of(&(*along).into())
+                )
+            }
+            Self::HoldOnce { along } => {
+                write!(out, "the pole was never held along {}", text_of(&(*along).into()))
+            }
+            Self::Visit { visited, near_m: [x, y, z] } => write!(
+                out,
+                "only {:.0} % of the volume was visited; go near x = {x:.1} m, y = {y:.1} m, z = {z:.1} m",
+                100.0 * visited
+            ),
+            Self::GoOn => write!(out, "go on waving the pole"),
+        }
+    }
+}
+
 /// Where the pole has been.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Coverage {
@@ -37,16 +128,14 @@ pub(crate) struct Coverage {
     /// Middles of cells that none came near, m; not more than [`MOST_UNVISITED`], spread over all of them.
     pub(crate) unvisited_m: Vec<Vector3<f64>>,
     /// What is missing, the first thing first.
-    pub(crate) reasons: Vec<Reason>,
+    pub(crate) asks: Vec<Ask>,
 }
 
 /// Whether a whole recording has been everywhere.
 pub(crate) fn judge(run: &PoleRun, hull: &Hull) -> Coverage {
     let usable = run.frames.iter().filter(|frame| frame.readings.iter().flatten().count() >= 3).count();
     if usable < LEAST_FRAMES {
-        let text = format!("only {usable} usable instants; move the pole for a minute");
-        let reasons = vec![Reason { code: Code::Coverage, text }];
-        return Coverage { reasons, ..Coverage::default() };
+        return Coverage { asks: vec![Ask::Begin { instants: usable }], ..Coverage::default() };
     }
     look(run, hull)
 }
@@ -58,8 +147,7 @@ pub(crate) fn visited(run: &PoleRun, hull: &Hull) -> f64 {
 
 /// Where the pole has been so far, and where it should go.
 pub(crate) fn look(run: &PoleRun, hull: &Hull) -> Coverage {
-    let mut reasons = Vec::new();
-    let mut emit = |code, text: String| reasons.push(Reason { code, text });
+    let mut asks = Vec::new();
     let (mut middles, mut directions) = (Vec::new(), Vec::new());
     let mut row = Vec::new();
     for frame in &run.frames {
@@ -77,22 +165,12 @@ pub(crate) fn look(run: &PoleRun, hull: &Hull) -> Coverage {
         middles.iter().fold(Matrix3::zeros(), |s, m| s + (m - mean) * (m - mean).transpose() / count);
     let (least, axis) = weakest(&spread);
     if least.max(0.0).sqrt() < LEAST_WANDER_M {
-        emit(
-            Code::Coverage,
-            format!(
-                "the middle of the pole moved only {:.0} mm along {}; carry it farther that way",
-                1e3 * least.max(0.0).sqrt(),
-                text_of(&axis)
-            ),
-        );
+        asks.push(Ask::Carry { moved_m: least.max(0.0).sqrt(), along: axis.into() });
     }
     let turning = directions.iter().fold(Matrix3::zeros(), |s, d| s + d * d.transpose() / count);
     let (least, axis) = weakest(&turning);
     if least < LEAST_DIRECTION {
-        emit(
-            Code::Excitation,
-            format!("the pole was hardly ever held along {}; hold it that way", text_of(&axis)),
-        );
+        asks.push(Ask::Hold { along: axis.into() });
     }
     let mut octants = [0usize; 4];
     for d in &directions {
@@ -103,26 +181,17 @@ pub(crate) fn look(run: &PoleRun, hull: &Hull) -> Coverage {
         if (*seen as f64) < LEAST_OCTANT * count && least >= LEAST_DIRECTION {
             let axis =
                 Vector3::new(if k & 1 == 1 { -1.0 } else { 1.0 }, if k & 2 == 2 { -1.0 } else { 1.0 }, 1.0);
-            emit(Code::Excitation, format!("the pole was never held along {}", text_of(&axis.normalize())));
+            asks.push(Ask::HoldOnce { along: axis.normalize().into() });
         }
     }
     let held = octants.iter().filter(|seen| **seen as f64 >= LEAST_OCTANT * count && **seen > 0).count();
     let (cells, empty) = cells(run, hull);
     if cells < LEAST_COVERED {
         let near = empty.iter().sum::<Vector3<f64>>() / empty.len().max(1) as f64;
-        emit(
-            Code::Coverage,
-            format!(
-                "only {:.0} % of the volume was visited; go near x = {:.1} m, y = {:.1} m, z = {:.1} m",
-                100.0 * cells,
-                near.x,
-                near.y,
-                near.z
-            ),
-        );
+        asks.push(Ask::Visit { visited: cells, near_m: near.into() });
     }
     let unvisited_m = empty.iter().step_by(empty.len().div_ceil(MOST_UNVISITED).max(1)).copied().collect();
-    Coverage { cells, directions: held as f64 / octants.len() as f64, unvisited_m, reasons }
+    Coverage { cells, directions: held as f64 / octants.len() as f64, unvisited_m, asks }
 }
 
 /// Smallest eigenvalue and its axis.

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
-use super::coverage;
+use super::coverage::{self, Ask};
 use super::hull::Hull;
 use super::pole::{PoleFrame, PoleReading, PoleRun};
 use super::problem::line;
@@ -45,6 +45,9 @@ pub struct Progress {
     pub residual_m: f64,
     /// What to do next; empty when there is enough.
     pub hint: String,
+    /// The same for programs; null when there is enough.
+    #[serde(default)]
+    pub asks: Option<Ask>,
 }
 
 /// A guided run in progress: collects frames, and states once a second what is still missing.
@@ -122,14 +125,12 @@ impl Guide {
         let points: Vec<Vector3<f64>> =
             self.thin.readings().map(|(_, _, reading)| reading.position_m).collect();
         let coverage = Hull::new(points.iter()).map(|hull| coverage::look(&self.thin, &hull));
-        let hint = match &coverage {
-            None if instants == 0 => "move the pole: none of its sensors is seen yet".to_owned(),
-            None => "move the pole".to_owned(),
-            Some(coverage) => match coverage.reasons.first() {
-                Some(reason) => reason.text.clone(),
-                None if instants < LEAST_INSTANTS => "go on waving the pole".to_owned(),
-                None => String::new(),
-            },
+        let asks = match &coverage {
+            None if instants == 0 => Some(Ask::Show),
+            None => Some(Ask::Move),
+            Some(coverage) => {
+                coverage.asks.first().copied().or((instants < LEAST_INSTANTS).then_some(Ask::GoOn))
+            }
         };
         let coverage = coverage.unwrap_or_default();
         Progress {
@@ -141,7 +142,8 @@ impl Guide {
             directions: coverage.directions,
             unvisited_m: coverage.unvisited_m.into_iter().map(Into::into).collect(),
             residual_m,
-            hint,
+            hint: asks.map(|asks| asks.to_string()).unwrap_or_default(),
+            asks,
         }
     }
 

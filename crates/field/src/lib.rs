@@ -57,6 +57,7 @@ mod watch;
 pub use anchors::{Anchor, LEAST_ANCHORS, rigid};
 pub use arrows::arrows;
 pub use corrector::{Corrected, Corrector};
+pub use coverage::Ask;
 pub use estimate::noise as estimate_noise;
 pub use grid::Shape;
 pub use guide::{Guide, Progress};

@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Vector3};
 use posed_geometry::parallel::*;
 
 use super::anchors::{Anchor, LEAST_ANCHORS, dwells, judge, rigid};
-use super::coverage;
+use super::coverage::{self, Ask};
 use super::estimate;
 use super::fit::{HeldOut, fit, uncorrected};
 use super::hull::Hull;
@@ -69,7 +69,7 @@ pub fn solve(mut run: PoleRun, anchors: &[Anchor], progress: &mut dyn FnMut(f64)
     };
     let coverage = coverage::judge(&run, &hull);
     report.covered = coverage.cells;
-    report.reasons.extend(coverage.reasons);
+    report.reasons.extend(coverage.asks.iter().map(Ask::reason));
     progress(0.05);
     let problem = problem_of(&run, &with_model_floor(noise));
     let chosen = Selection::new(&problem).choose(&mut |share| progress(0.05 + 0.7 * share));

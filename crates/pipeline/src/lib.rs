@@ -316,7 +316,8 @@ impl Pipeline {
                 .map(|(index, sensor)| {
                     let device = &self.devices[usize::from(sensor.device())];
                     let counted = device.counted(index, &self.sensors);
-                    sensor.status(counted.as_ref(), device.condition(index, &self.sensors))
+                    let condition = device.condition(index, &self.sensors);
+                    sensor.status(counted.as_ref(), condition, self.units.corrects(index))
                 })
                 .collect(),
             bodies: self.bodies.iter().map(Wearer::status).collect(),

@@ -153,11 +153,16 @@ impl Sensor {
     }
 
     /// `counted` is what the device itself knows to be lost; without it the frames count.
-    pub(super) fn status(&self, counted: Option<&Loss>, condition: Condition) -> SensorStatus {
+    pub(super) fn status(
+        &self,
+        counted: Option<&Loss>,
+        condition: Condition,
+        corrected: bool,
+    ) -> SensorStatus {
         let (lost, estimated) =
             counted.map_or((self.missed, self.missed_by_time), |loss| (loss.lost, loss.estimated));
         let lost = lost + self.unpublished;
-        SensorStatus { samples: self.samples, newest: self.newest, lost, estimated, condition }
+        SensorStatus { samples: self.samples, newest: self.newest, lost, estimated, condition, corrected }
     }
 
     /// Whether a measurement is one of the cycle that times its device, rather than one beside it.

@@ -72,4 +72,6 @@ pub struct SensorStatus {
     pub estimated: bool,
     /// What it reports of itself, as far as it does.
     pub condition: Condition,
+    /// Its last record was corrected by its unit's own intrinsics.
+    pub corrected: bool,
 }

@@ -70,6 +70,11 @@ impl Units {
         }
     }
 
+    /// Whether the last record of a sensor was corrected.
+    pub(super) fn corrects(&self, sensor: SensorIndex) -> bool {
+        self.in_use.get(usize::from(sensor)).is_some_and(|number| *number > 0)
+    }
+
     /// Corrects a record of a sensor, which this unit measured. True where the one before was corrected by other numbers: what
     /// filters have learnt of the sensor does not hold any more.
     pub(super) fn correct(&mut self, sensor: SensorIndex, unit: &str, measured: &mut Measured) -> bool {

@@ -53,11 +53,11 @@ pub use message::{
     JobState, Jobs, JointEntry, Judged, KeptExercise, KeptFile, KeyPose, LabelSpan, Labels, LearntEntry,
     LibraryTake, LinkState, ListedSessions, Look, LookBody, LookSensor, MapVersion, Mark, Measured, OkReply,
     People, Phone, Phones, Picture, PicturePath, PlanProgress, Plans, Problem, QrCode, Quality,
-    RecordingBegun, RecordingStatus, Recordings, RelatedClock, Removed, Renamed, ReplayStatus, Report,
-    Resumed, RunningSession, ScrewMotion, SegmentBody, SegmentEntry, SegmentSpan, SensorEntry, SensorHistory,
-    SensorStatus, Sensors, ServerMessage, SessionBegun, Sessions, Setup, SetupBody, SetupDevice,
-    SetupProblem, SetupSensor, Shown, Sole, Spoken, StageEntry, StageLatency, StagePresence, Stages, Started,
-    Status, Takes, Tracked, TruthEntry, Truths,
+    RecordingBegun, RecordingStatus, Recordings, RefusalReason, RelatedClock, Removed, Renamed, ReplayStatus,
+    Report, Resumed, RunningSession, ScrewMotion, SegmentBody, SegmentEntry, SegmentSpan, SensorEntry,
+    SensorHistory, SensorStatus, Sensors, ServerMessage, SessionBegun, Sessions, Setup, SetupBody,
+    SetupDevice, SetupProblem, SetupSensor, Shown, Sole, Spoken, StageEntry, StageLatency, StagePresence,
+    Stages, Started, Status, Takes, Tracked, TruthEntry, Truths,
 };
 pub use names::Names;
 pub use packed::{unpack, unpacker};

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value as Json};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
-use toml_edit::{Array, ArrayOfTables, DocumentMut, InlineTable, Item, Table as Keys, Value};
+use toml_edit::{Array, ArrayOfTables, DocumentMut, InlineTable, Item, Table as Keys, TableLike, Value};
 
 /// Keys of new tables that come first, in this order; all others follow by name.
 const FIRST_KEYS: [&str; 12] = [
@@ -62,6 +62,13 @@ pub enum Change {
     NameStage {
         /// Which.
         name: String,
+    },
+    /// Says how the magnetic transmitter stands in the room.
+    PlaceTransmitter {
+        /// Its place, m.
+        position_m: [f64; 3],
+        /// Turns transmitter coordinates into room coordinates: unit quaternion, scalar first.
+        orientation_wxyz: [f64; 4],
     },
     /// Adds a device, a sensor or a body behind those that there are.
     Add {
@@ -132,6 +139,12 @@ pub fn edit(text: &str, changes: &[Change]) -> Result<String, EditError> {
 fn apply(document: &mut DocumentMut, change: &Change) -> Result<(), EditError> {
     match change {
         Change::NameStage { name } => put(document.as_table_mut(), "name", Value::from(name.as_str())),
+        Change::PlaceTransmitter { position_m, orientation_wxyz } => {
+            let list = |numbers: &[f64]| Value::from(numbers.iter().copied().collect::<Array>());
+            let pose = transmitter(document)?;
+            put(pose, "position_m", list(position_m));
+            put(pose, "orientation_wxyz", list(orientation_wxyz));
+        }
         Change::Add { table, keys } => {
             let mut added = Keys::new();
             let mut keys: Vec<(&String, &Json)> = keys.iter().collect();
@@ -177,6 +190,23 @@ fn apply(document: &mut DocumentMut, change: &Change) -> Result<(), EditError> {
         }
     }
     Ok(())
+}
+
+/// The keys of `[transmitter.pose_in_room]`, which is made where it is not there.
+fn transmitter(document: &mut DocumentMut) -> Result<&mut dyn TableLike, EditError> {
+    let bad = |key: &str| EditError::Value(key.to_owned());
+    let outer = document.entry("transmitter").or_insert_with(|| {
+        let mut table = Keys::new();
+        // Of itself nothing is to stand there.
+        table.set_implicit(true);
+        Item::Table(table)
+    });
+    let pose = match outer.is_inline_table() {
+        true => Item::Value(InlineTable::new().into()),
+        false => Item::Table(Keys::new()),
+    };
+    let outer = outer.as_table_like_mut().ok_or_else(|| bad("transmitter"))?;
+    outer.entry("pose_in_room").or_insert(pose).as_table_like_mut().ok_or_else(|| bad("pose_in_room"))
 }
 
 /// The tables of a kind; a single body stands among them, too.
@@ -275,7 +305,7 @@ fn text_of<'k>(keys: &'k Keys, key: &str) -> Option<&'k str> {
 }
 
 /// Sets a key; a comment behind the value stays.
-fn put(keys: &mut Keys, key: &str, value: Value) {
+fn put(keys: &mut dyn TableLike, key: &str, value: Value) {
     match keys.get_mut(key).and_then(Item::as_value_mut) {
         Some(present) => set(present, value),
         None => _ = keys.insert(key, Item::Value(value)),
@@ -462,6 +492,29 @@ listen = "127.0.0.1:9000"
         ] {
             assert!(renamed.contains(expected), "{expected}: {renamed}");
         }
+    }
+
+    #[test]
+    fn how_the_transmitter_stands_is_written_where_it_was_or_behind_all() {
+        let place = serde_json::from_value::<Change>(json!({
+            "change": "place_transmitter", "position_m": [1.0, 0.25, 0.5], "orientation_wxyz": [1.0, 0.0, 0.0, 0.0],
+        }));
+        let place = [place.unwrap()];
+        let keys = "position_m = [1.0, 0.25, 0.5]\norientation_wxyz = [1.0, 0.0, 0.0, 0.0]\n";
+        let header = "[transmitter.pose_in_room]\n";
+        assert_eq!(edit(TEXT, &place).unwrap(), format!("{TEXT}\n{header}{keys}"));
+        let before = "name = \"s\"\n\n[transmitter.pose_in_room]\nposition_m = [0, 0, 0]\n\n[server]\n";
+        let after = format!("name = \"s\"\n\n{header}{keys}\n[server]\n");
+        assert_eq!(edit(before, &place).unwrap(), after);
+        for text in ["transmitter = {}\n", "transmitter.pose_in_room = { position_m = [0, 0, 0] }\n"] {
+            let written: toml::Table = toml::from_str(&edit(text, &place).unwrap()).unwrap();
+            assert_eq!(
+                written["transmitter"]["pose_in_room"]["position_m"][1].as_float(),
+                Some(0.25),
+                "{text}"
+            );
+        }
+        assert!(edit("transmitter = 1\n", &place).is_err());
     }
 
     #[test]

@@ -227,6 +227,9 @@ async fn the_stage_is_aligned_in_the_browser() {
     assert!(right(&keys), "{keys}");
     browser.value("document.getElementById('align-keys').scrollIntoView({ block: 'end' })").await;
     browser.picture("alignment").await;
+    // A demo has no file of its own to keep it in, and says so.
+    browser.click("align-keep").await;
+    browser.until("document.getElementById('alignment-title').closest('section').textContent.includes('posed run --new')").await;
     done(browser, posed).await;
 }
 
@@ -270,6 +273,9 @@ async fn an_imu_is_calibrated_in_the_browser_and_its_file_kept() {
     browser.until(LIVE).await;
     browser.click("unit-calibrate").await;
     let text = |id: &str| format!("document.getElementById('{id}').textContent");
+    browser.fill("#page-language", "de").await;
+    browser.until(&format!("/^[0-9]+ von 12 Richtungen: /.test({})", text("unit-prompt"))).await;
+    browser.fill("#page-language", "en").await;
     browser.until(&format!("/^[1-9] of 12 directions/.test({})", text("unit-prompt"))).await;
     browser.until("document.querySelectorAll('#unit-sides .good').length >= 3").await;
     browser.until("document.querySelectorAll('#unit-sides .care').length < 3").await;
@@ -279,6 +285,14 @@ async fn an_imu_is_calibrated_in_the_browser_and_its_file_kept() {
     let file = browser.row("unit-figures", 4).await;
     let kept = posed_stage::read_intrinsics(&folder.path().join("imus").join(&file[1])).unwrap();
     assert!(kept.directions >= 12 && kept.mag.is_some(), "{kept:?}");
+    // Another daemon knows of it, and Set up says so.
+    drop(browser);
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+    let posed = Posed::demo_that_keeps(&stage);
+    let mut browser = Browser::open(&format!("http://{}/#setup", posed.address)).await;
+    browser.until(LIVE).await;
+    browser.click("step-calibrate").await;
+    browser.until("/1. IMU *done/.test(document.getElementById('setup').innerText)").await;
     done(browser, posed).await;
 }
 

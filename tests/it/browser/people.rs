@@ -68,7 +68,7 @@ async fn one_of_two_people_is_chosen_calibrated_and_exported() {
     // Of her nothing is known yet, and that is said by her name.
     let problems = "document.getElementById('problems').textContent";
     browser
-        .until(&format!("{problems}.includes('anna: nobody knows') && !{problems}.includes('bert:')"))
+        .until(&format!("{problems}.includes('anna: It is not known') && !{problems}.includes('bert:')"))
         .await;
     browser.picture("people").await;
 

@@ -123,10 +123,15 @@ async fn a_stage_is_changed_only_where_it_may_be_and_the_file_of_before_is_kept(
     ok(&mut client, record_start("take")).await;
     assert_eq!(refused(&mut client, request(named("new"), &revision)).await.0, "busy");
     ok(&mut client, json!({"type": "record.stop"})).await;
-    save(&mut client, &named("new")).await;
+    let mut changes = named("new");
+    changes.as_array_mut().unwrap().push(json!({
+        "change": "place_transmitter", "position_m": [0.5, 0.0, 1.0], "orientation_wxyz": [1.0, 0.0, 0.0, 0.0],
+    }));
+    save(&mut client, &changes).await;
     let mut client = posed.client_with(token).await;
     assert_eq!(read(&mut client, json!([])).await["name"], "new");
-    assert_eq!(fs::read_to_string(&stage).unwrap(), text.replace("\"old\"", "\"new\""));
+    let placed = "\n[transmitter.pose_in_room]\nposition_m = [0.5, 0.0, 1.0]\norientation_wxyz = [1.0, 0.0, 0.0, 0.0]\n";
+    assert_eq!(fs::read_to_string(&stage).unwrap(), text.replace("\"old\"", "\"new\"") + placed);
     assert_eq!(fs::read_to_string(kept(&stage)).unwrap(), text);
     assert_eq!(posed.end("TERM").await.code(), Some(0));
 }

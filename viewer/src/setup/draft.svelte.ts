@@ -2,6 +2,7 @@
 
 import { Refused } from "../link";
 import { link, live, model } from "../page.svelte";
+import { saidOf } from "../ui/action.svelte";
 import type { Setup, SetupProblem, StageChange, StageTable } from "../protocol";
 
 class Draft {
@@ -101,7 +102,7 @@ class Draft {
 
   private fail(error: unknown): void {
     this.saving = false;
-    this.says = error instanceof Error ? error.message : String(error);
+    this.says = saidOf(error);
   }
 }
 

@@ -40,7 +40,7 @@ export function lineOf(device: DeviceStatus, text: Text): Line {
   const { setup } = text;
   const lost = lostOf(device.name);
   if (device.state !== "streaming") {
-    return { grave: device.state === "connecting" ? "care" : "bad", says: text.links[device.state], fix: device.reason ?? setup.waits, lost };
+    return { grave: device.state === "connecting" ? "care" : "bad", says: text.links[device.state], fix: device.reason ? text.daemon.device(device.state, device.reason) : setup.waits, lost };
   }
   const damaged = model.refused.get(device.name) ?? 0;
   if (damaged > DAMAGED) return { grave: "care", says: setup.damaged(num(100 * damaged, 1)), fix: setup.damagedFix, lost };

@@ -1,6 +1,7 @@
 // Was der Daemon auf Englisch sagt, auf Deutsch: Probleme nach ihrem Code, Haltungen und Bewegungen, um die eine Kalibrierung bittet, einzelne Wörter.
 
-import type { Problem } from "../../../clients/typescript/src/posed.v1";
+import type { FieldAsk, LinkState, Problem, RefusalReason } from "../../../clients/typescript/src/posed.v1";
+import type { AlignAsked, ImuAsked } from "./en";
 
 type Values = Problem["values"];
 
@@ -46,6 +47,83 @@ export const ASKS: Record<string, string> = {
   elbow_flexion_r: elbow("rechten"), elbow_flexion_l: elbow("linken"), knee_flexion_r: knee("rechte"), knee_flexion_l: knee("linke"),
   hip_flexion_r: thigh("rechten"), hip_flexion_l: thigh("linken"), shoulder_flexion_r: arm("rechten"), shoulder_flexion_l: arm("linken"),
   shrug_r: shrug("rechte"), shrug_l: shrug("linke"), wrist_flexion_r: wrist("rechte"), wrist_flexion_l: wrist("linke"), ankle_flexion_r: foot("rechten"), ankle_flexion_l: foot("linken"),
+};
+
+/** Um was die Kalibrierung einer IMU bittet: mit den Richtungen, den Seiten, die fehlen, und wie viel vom Feld gesehen ist, in Prozent. */
+export const IMU_ASKS: Record<ImuAsked["asks"], (count: string, missing: string, field: number) => string> = {
+  another: (count) => `${count}: Diese ist bekannt; die Einheit auf eine andere Seite oder Kante drehen`,
+  keep: (count) => `${count}: so liegen lassen`,
+  side: (count, missing) => `${count}: die Einheit auf eine andere Seite legen und 2 s ruhen lassen; noch nicht oben waren: ${missing}`,
+  edge: (count) => `${count}: die Einheit auf eine Kante oder Ecke stellen und 2 s ruhen lassen`,
+  field: (_count, _missing, field) => `Vom Feld ist ${field} % dessen gesehen, was nötig ist: die Einheit langsam durch alle Richtungen drehen, fern von Eisen`,
+};
+
+export const ALIGN_ASKS: Record<Exclude<AlignAsked["asks"], "anchor">, string> = {
+  wave: "Den Sensor schnell um alle seine Achsen hin und her drehen, um 45 Grad und mehr, und weitermachen",
+  other_axis: "Den Sensor um eine andere Achse drehen als bisher, um 45 Grad und mehr",
+};
+
+export const DONE = {
+  imu: "Die Kennwerte der Einheit sind gefunden, aufbewahrt und in Gebrauch.",
+  alignment: "Es ist bekannt, wie der Sender steht.",
+};
+
+/** Eine Richtung: eine Achse, wo sie nahe einer liegt. */
+function direction(along: [number, number, number]): string {
+  const sizes = along.map(Math.abs);
+  const most = sizes.indexOf(Math.max(...sizes));
+  if (sizes[most]! > 0.9) return ["x", "y", "z"][most]!;
+  const sign = along[most]! < 0 ? -1 : 1;
+  return `(${along.map((part) => (sign * part).toFixed(1)).join(", ")})`;
+}
+
+/** Was mit dem Stab zu tun ist. */
+export function fieldAsked(asks: FieldAsk): string {
+  switch (asks.ask) {
+    case "show": return "Den Stab bewegen: Noch ist keiner seiner Sensoren zu sehen.";
+    case "move": return "Den Stab bewegen.";
+    case "begin": return `Nur ${asks.instants} brauchbare Zeitpunkte: den Stab eine Minute lang bewegen.`;
+    case "carry": return `Die Mitte des Stabs hat sich nur ${(1000 * asks.moved_m).toFixed(0)} mm entlang ${direction(asks.along)} bewegt: weiter in diese Richtung tragen.`;
+    case "hold": return `Der Stab wurde kaum je entlang ${direction(asks.along)} gehalten: so halten.`;
+    case "hold_once": return `Der Stab wurde nie entlang ${direction(asks.along)} gehalten.`;
+    case "visit": return `Nur ${(100 * asks.visited).toFixed(0)} % des Raums wurden besucht: in die Nähe von ${asks.near_m.map((m, i) => `${"xyz"[i]} = ${m.toFixed(1)} m`).join(", ")} gehen.`;
+    case "go_on": return "Den Stab weiter schwenken.";
+  }
+}
+
+/** Warum eine Bitte abgelehnt wurde, und was zu tun ist. */
+export const REFUSED: Record<RefusalReason, (values: Record<string, string>) => string> = {
+  bad_name: () => "Der Name darf nur Buchstaben, Ziffern, „-“, „_“ und „.“ haben.",
+  file_changed: () => "Jemand anderes hat die Stage-Datei inzwischen geändert: die Seite neu laden.",
+  hub: () => "Ein Hub zeigt seine Stages nur: den Daemon der Stage selbst darum bitten.",
+  is_read: () => "Ein Vorgang liest die Aufnahme gerade: abwarten oder abbrechen.",
+  is_recorded: () => "Die Aufnahme läuft noch: erst beenden.",
+  is_watched: () => "Jemand sieht sich die Aufnahme an: erst schließen.",
+  is_written: () => "Ein anderes Programm schreibt die Aufnahme: erst beenden.",
+  job_runs: ({ job }) => `${job} läuft: Die Stage ändert sich, sobald es beendet ist.`,
+  jobs_run: ({ count }) => `Es laufen schon ${count} Vorgänge: einen abwarten oder abbrechen.`,
+  no_attached_imu: ({ name }) => `An „${name}“ ist keine IMU befestigt: drei vermessene Punkte oder mehr angeben, oder \`imu\` bei ihm in die Stage-Datei schreiben.`,
+  no_body: () => "Diese Stage hat keinen Körper.",
+  no_file: () => "Dieser Daemon wurde nicht mit einer eigenen Stage-Datei gestartet (`posed demo` zeigt simulierte Geräte): eine mit `posed run --new stage.toml` beginnen.",
+  no_imu: () => "Diese Stage hat keine IMU.",
+  no_magnetic: () => "Diese Stage hat keinen magnetischen Sensor.",
+  no_sensor: ({ name }) => `Diese Stage hat keinen Sensor „${name}“.`,
+  no_take: ({ name }) => `Es gibt keine Aufnahme „${name}“.`,
+  not_magnetic: ({ name }) => `„${name}“ ist kein magnetischer Sensor dieser Stage.`,
+  nothing_collected: () => "Es wurde nichts gesammelt: beginnen und den Stab bewegen.",
+  pole_sensors: () => "Drei Sensoren oder mehr angeben, jeden einmal, in ihrer Reihenfolge entlang des Stabs.",
+  pole_spacing: () => "Den gemessenen Abstand der Sensoren angeben, größer als 0.",
+  repetitions: () => "2 bis 100 Wiederholungen angeben; 3 bis 10 sind gut.",
+  requests_wait: () => "Zu viele Bitten warten: gleich noch einmal versuchen.",
+  session_runs: ({ person }) => `Eine Sitzung von „${person}“ läuft: erst beenden.`,
+  take_exists: ({ name }) => `Es gibt schon eine Aufnahme „${name}“: einen anderen Namen wählen.`,
+  watches: () => "Mit diesem Token lässt sich nur zusehen: Es braucht eines mit der Rolle `operate`.",
+};
+
+/** Was mit einem Gerät ist; warum, sagt der Daemon auf Englisch. */
+export const DEVICES: Record<LinkState, string> = {
+  streaming: "sendet", connecting: "Es wird verbunden; bleibt es dabei, Strom, Kabel und Port prüfen.",
+  silent: "Es kommt nichts: Strom und Kabel prüfen.", failed: "Das Gerät verweigert den Dienst: aus- und wieder einschalten.",
 };
 
 /** Ursachen von Fehlern, Gelenke, ihre Winkel, Segmente: ganz, sonst Wort für Wort. */

@@ -1,6 +1,6 @@
 // Alles, was die Seite sagt, auf Deutsch.
 
-import { ASKS, PROBLEMS, term } from "./daemon.de";
+import { ALIGN_ASKS, ASKS, DEVICES, DONE, fieldAsked, IMU_ASKS, PROBLEMS, REFUSED, term } from "./daemon.de";
 import type { Text } from "./en";
 
 const count = (n: number, one: string, several: string) => `${n} ${n === 1 ? one : several}`;
@@ -12,7 +12,7 @@ export const de: Text = {
   },
   page: {
     views: "Ansichten", person: "Person", language: "Sprache", theme: "Hell oder dunkel",
-    themes: { auto: "wie das System", dark: "dunkel", light: "hell" },
+    themes: { auto: "wie das System", dark: "dunkel", light: "hell" }, notLoaded: "Dieser Teil der Seite ist nicht gekommen: Der Daemon ist beendet oder hat nun eine andere Version.", loadAnew: "Seite neu laden",
     connecting: "verbinde …", live: "live", paused: "angehalten", tokenAsked: "ein Token wird verlangt",
     noFrameFor: (s) => `seit ${s} s kein Bild`,
     lost: (why) => `${why}. Neuer Versuch.`,
@@ -73,6 +73,12 @@ export const de: Text = {
     problem: ({ code, values }) => PROBLEMS[code]?.(values) ?? null,
     asked: ({ asks, step, steps, silent, objection }) => (asks === null || !ASKS[asks] ? null
       : `${step} von ${steps}: ${silent === "" ? "" : `${silent}: Es kommt nichts; bitte nachsehen. `}${objection === null ? "" : `${objection}. Noch einmal: `}${ASKS[asks]}`),
+    imuAsked: ({ asks, directions, wanted, missing, field }) => IMU_ASKS[asks](`${directions} von ${wanted} Richtungen`, missing.join(", "), Math.round(100 * (field ?? 0))),
+    alignAsked: (asked) => (asked.asks === "anchor" ? `Den Sensor bei „${asked.anchor}“ still halten (${asked.position_m.map((m) => m.toFixed(3)).join(", ")} m im Raum)` : ALIGN_ASKS[asked.asks]),
+    done: (kind) => DONE[kind],
+    fieldAsked,
+    refused: (reason, values) => REFUSED[reason](values),
+    device: (state, reason) => `${DEVICES[state]} (${reason})`,
     term,
   },
   states: { ok: "gut", suspect: "zweifelhaft", missing: "fehlt", late: "verspätet", stuck: "hängt", repaired: "repariert", extrapolated: "außerhalb der Karte" },
@@ -114,6 +120,7 @@ export const de: Text = {
     point: (n) => `Punkt ${n}`, at: (name, sensor, place) => `${name}: ${sensor} bei ${place} m`, surveyed: "Vermessene Punkte", solve: "Lösen",
     mapGood: (model) => `Die Karte ist gut: ${model}.`, refused: "Die Kalibrierung wird abgelehnt.",
     raw: "neben einem geraden Stab, vorher", residual: "neben einem geraden Stab, korrigiert", heldout: "dasselbe an zurückgehaltenen Messungen", anchors: "neben den vermessenen Punkten",
+    keep: "In der Stage-Datei aufbewahren", kept: "Bei den Änderungen der Stage: in Einrichten auf „Speichern und beginnen“ drücken.",
     use: "Diese Karte benutzen", back: "Zurück zur vorigen Karte",
   },
   coach: {
@@ -172,6 +179,7 @@ export const de: Text = {
     title: "Aufnahmen", bin: "Papierkorb", binOf: (n) => `Papierkorb (${n})`, search: "Suche nach Name, Stage oder Tag", empty: "Papierkorb leeren",
     emptySure: (n) => `${count(n, "Aufnahme", "Aufnahmen")} endgültig entfernen? Das lässt sich nicht zurücknehmen.`,
     none: "Noch keine Aufnahme.", noneNext: "In der Leiste unten „Aufnehmen“ drücken: Was aufgenommen ist, steht hier.", noneFound: (asked) => `Keine Aufnahme hat „${asked}“ in Name, Stage oder Datum.`,
+    atStage: "Diese Aufnahmen liegen bei der Stage, und dies ist ein Hub: Hier lassen sie sich herunterladen. Zum Ansehen, Umbenennen, Exportieren oder Löschen die Seite der Stage selbst öffnen; eine heruntergeladene spielt `posed replay` ab.",
     more: (n) => `${n} weitere: bitte suchen.`, records: (name) => `${name} wird gerade aufgenommen.`,
     size: (mb) => `${mb} MB`, incomplete: "nicht ordentlich beendet", unreadable: (why) => `Nicht lesbar: ${why}.`, plays: "läuft gerade",
     counts: {
@@ -207,6 +215,7 @@ export const de: Text = {
     suspect: (name, cause) => `${name}: nicht verlässlich (${cause}). Nach Metall, einem lockeren Gurt oder einem zweiten Sender in der Nähe sehen.`,
     damaged: (name, share) => `${name}: ${share} % seiner Datensätze kommen beschädigt an. Sein Kabel kürzen oder tauschen, von Motoren und Bildschirmen fernhalten oder die Baudrate senken.`,
     dropped: (n) => `Dieser Browser war in den letzten zehn Sekunden für ${n} Nachrichten zu langsam. Andere Tabs schließen oder an einem anderen Rechner zusehen.`,
+    old: (s) => `Seit ${s} s ist nichts gekommen, und alles Gezeigte ist alt: Kein Gerät sendet, oder der Rechner des Daemons ist mit anderem beschäftigt.`,
     disturbed: "Das Feld ist jetzt gestört.",
     devices: "Geräte", deviceHead: ["Gerät", "Treiber", "Anschluss", "Zustand", "Rate, Hz", "Alter, ms", "Uhr ±, ms", "Datensätze", "Verworfen", "Übersprungen"],
     sensors: "Sensoren", sensorHead: ["Sensor", "Zustand", "Rate, Hz", "Alter, ms", "x, m", "y, m", "z, m", "w", "x", "y", "z", "σ, mm", "Messungen", "Verloren"],
@@ -235,7 +244,7 @@ export const de: Text = {
     placeHelp: "Einen Sensor drücken, dann den Körperteil, der ihn trägt, oder umgekehrt. Wird einer bewegt, leuchtet er hier auf. Sensoren, die niemand trägt, bleiben, wie sie sind.",
     nowhere: "an keinem Segment", moves: "bewegt sich", notYet: "nach dem Speichern live", sensorName: (name: string) => `Name des Sensors ${name}`, takeOff: "Abnehmen", takeOffNamed: (name: string) => `${name} abnehmen`,
     height: "Größe der Person, m", nowSegment: (sensor: string) => `Jetzt drücken, wo ${sensor} sitzt.`, nowSensor: (segment: string) => `Jetzt den Sensor drücken: ${segment}.`, nowEither: "Einen Sensor oder einen Körperteil drücken.",
-    figure: "Der Körper von vorn", right: "rechts", left: "links", segment: (name: string, sensors: string) => (sensors === "" ? name : `${name}: ${sensors}`),
+    figure: "Der Körper von vorn", figureBack: "Der Körper, von hinten", behind: "Von hinten", front: "Von vorn", right: "rechts", left: "links", segment: (name: string, sensors: string) => (sensors === "" ? name : `${name}: ${sensors}`),
     segments: {
       head: "Kopf", torso: "Brust", pelvis: "Becken", shoulder_r: "rechte Schulter", shoulder_l: "linke Schulter", upper_arm_r: "rechter Oberarm", upper_arm_l: "linker Oberarm",
       forearm_r: "rechter Unterarm", forearm_l: "linker Unterarm", hand_r: "rechte Hand", hand_l: "linke Hand", thigh_r: "rechter Oberschenkel", thigh_l: "linker Oberschenkel", shank_r: "rechter Unterschenkel", shank_l: "linker Unterschenkel", foot_r: "rechter Fuß", foot_l: "linker Fuß",
@@ -245,7 +254,7 @@ export const de: Text = {
     loses: (share: string) => `${share} % seiner Messwerte gehen verloren`, losesFix: "Den Empfänger näher heranbringen, ein kürzeres Kabel nehmen oder das Gerät weniger Messwerte je Sekunde senden lassen.",
     clockLoose: (ms: string) => `seine Uhr ist nur auf ${ms} ms bekannt`, clockFix: "Eine halbe Minute warten: Sie pendelt sich ein. Wenn nicht, verzögert der USB-Adapter oder das Netz, was es sendet.",
     figures: (hz: string, lost: string, ms: string) => `${hz} Hz, ${lost} % verloren, Uhr ± ${ms} ms`,
-    calibrations: "Kalibrierungen, in ihrer Reihenfolge", optional: "einmal je Einheit und Raum; es geht auch ohne", needed: "nötig", doneNow: "getan", leftOut: "ausgelassen", open: "Öffnen", openNamed: (name) => `Öffnen: ${name}`,
+    calibrations: "Kalibrierungen, in ihrer Reihenfolge", optional: "einmal je Einheit und Raum; es geht auch ohne", needed: "nötig", doneNow: "getan", doneOf: (n, of) => `${n} von ${of} getan`, notKept: "in Gebrauch, bis der Daemon endet: in der Stage-Datei aufbewahren", leftOut: "ausgelassen", open: "Öffnen", openNamed: (name) => `Öffnen: ${name}`,
     leaveOut: (name) => `Auslassen: ${name}`, thenNext: (name) => `Nächste Kalibrierung: ${name}`, bodyWhy: "Wie jeder Sensor auf seinem Segment sitzt: Ohne das gibt es keinen Körper.",
     imuWhy: "Biase und Skalen einer IMU: Winkel driften weniger.", alignWhy: "Wie der Sender im Raum steht: Oben ist oben, und IMUs stimmen damit überein.", fieldWhy: "Metall verbiegt das Feld: Positionen werden um Zentimeter besser.",
     bodyMissing: "Noch ist nicht bekannt, wie die Sensoren sitzen: den Körper kalibrieren.", bodyKnown: "Es ist bekannt, wie die Sensoren sitzen.", noCalibration: "Auf dieser Stage muss nichts kalibriert werden.",

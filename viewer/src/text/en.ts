@@ -1,9 +1,14 @@
 // All that the page says, in English. Another language is a file of the same type: what it lacks fails the build.
 
-import type { Problem } from "../../../clients/typescript/src/posed.v1";
+import type { FieldAsk, LinkState, Problem, RefusalReason } from "../../../clients/typescript/src/posed.v1";
 
 /** What a calibration of the body asks for: a pose or movement, the how-manieth, whose sensors are silent, why once more. */
 export type Asked = { asks: string | null; step: number; steps: number; silent: string; objection: string | null };
+
+/** What a calibration of an IMU asks for, and how far it is. */
+export type ImuAsked = { asks: "another" | "keep" | "side" | "edge" | "field"; directions: number; wanted: number; missing: string[]; field: number | null };
+/** What the alignment of a stage asks for. */
+export type AlignAsked = { asks: "anchor"; anchor: string; position_m: [number, number, number] } | { asks: "wave" | "other_axis" };
 
 /** Some words that begin a sentence with a number: one of them, or several. */
 const count = (n: number, one: string, several: string) => `${n} ${n === 1 ? one : several}`;
@@ -15,7 +20,7 @@ export const en = {
   },
   page: {
     views: "Views", person: "Person", language: "Language", theme: "Light or dark",
-    themes: { auto: "as the system", dark: "dark", light: "light" },
+    themes: { auto: "as the system", dark: "dark", light: "light" }, notLoaded: "This part of the page did not come: the daemon has ended, or is another version now.", loadAnew: "Load the page anew",
     connecting: "connecting…", live: "live", paused: "paused", tokenAsked: "a token is asked for",
     noFrameFor: (s: number) => `no frame for ${s} s`,
     lost: (why: string) => `${why}. Trying again.`,
@@ -74,9 +79,20 @@ export const en = {
   },
   /** What the daemon says is English already: what another language says in its place, by code; null where it has nothing. */
   daemon: {
-    problem: (_problem: Problem): string | null => null,
+    /** The daemon's sentence is for programs and files as well; here a button stands beside it. */
+    problem: ({ code, values }: Problem): string | null =>
+      code === "body_not_calibrated" ? `${values.of ?? ""}It is not known how the sensors sit: calibrate the body.` : null,
     /** A pose or movement that a calibration asks for. */
     asked: (_asked: Asked): string | null => null,
+    imuAsked: (_asked: ImuAsked): string | null => null,
+    alignAsked: (_asked: AlignAsked): string | null => null,
+    /** That a calibration has ended well. */
+    done: (_kind: "imu" | "alignment"): string | null => null,
+    fieldAsked: (_asks: FieldAsk): string | null => null,
+    /** Why a request was refused. */
+    refused: (_reason: RefusalReason, _values: Record<string, string>): string | null => null,
+    /** Why a device does not stream. */
+    device: (_state: LinkState, reason: string): string => reason,
     /** A word of its vocabulary: a cause, a joint, an angle, a segment. */
     term: (word: string): string => word.replaceAll("_", " "),
   },
@@ -119,6 +135,7 @@ export const en = {
     point: (n: number) => `point ${n}`, at: (name: string, sensor: string, place: string) => `${name}: ${sensor} at ${place} m`, surveyed: "Surveyed points", solve: "Solve",
     mapGood: (model: string) => `The map is good: ${model}.`, refused: "The calibration is refused.",
     raw: "off a straight pole, before", residual: "off a straight pole, corrected", heldout: "the same on readings that were held out", anchors: "off the surveyed points",
+    keep: "Keep it in the stage file", kept: "Among the changes of the stage: press Save and start in Set up.",
     use: "Use this map", back: "Back to the map before",
   },
   coach: {
@@ -177,6 +194,7 @@ export const en = {
     title: "Takes", bin: "Bin", binOf: (n: number) => `Bin (${n})`, search: "Search by name, stage or day", empty: "Empty the bin",
     emptySure: (n: number) => `Remove ${count(n, "take", "takes")} for good? This cannot be undone.`,
     none: "No take yet.", noneNext: "Press Record in the bar below: what is recorded is listed here.", noneFound: (asked: string) => `No take has "${asked}" in its name, stage or date.`,
+    atStage: "These takes are at the stage, and this is a hub: download one here. To watch, name, export or delete them, open the page of the stage itself; a downloaded one plays with `posed replay`.",
     more: (n: number) => `${n} more: search for them.`, records: (name: string) => `${name} is being recorded.`,
     size: (mb: string) => `${mb} MB`, incomplete: "not ended in order", unreadable: (why: string) => `It cannot be read: ${why}.`, plays: "plays now",
     counts: {
@@ -212,6 +230,7 @@ export const en = {
     suspect: (name: string, cause: string) => `${name}: not to be relied on (${cause}). Look for metal, a loose strap or a second transmitter nearby.`,
     damaged: (name: string, share: string) => `${name}: ${share} % of its records arrive damaged. Shorten or replace its cable, keep it away from motors and screens, or lower its baud rate.`,
     dropped: (n: number) => `This browser was too slow for ${n} messages in the last ten seconds. Close other tabs, or watch from another computer.`,
+    old: (s: number) => `Nothing has come for ${s} s, and all that is shown is old: no device sends, or the computer of the daemon is busy with something else.`,
     disturbed: "The field is disturbed now.",
     devices: "Devices", deviceHead: ["Device", "Driver", "Port", "State", "Rate, Hz", "Age, ms", "Clock ±, ms", "Records", "Rejected", "Skipped"],
     sensors: "Sensors", sensorHead: ["Sensor", "State", "Rate, Hz", "Age, ms", "x, m", "y, m", "z, m", "w", "x", "y", "z", "σ, mm", "Samples", "Lost"],
@@ -240,7 +259,7 @@ export const en = {
     placeHelp: "Press a sensor, then the part of the body that wears it, or the other way round. Move one: it lights up here. Sensors that nobody wears stay as they are.",
     nowhere: "on no segment", moves: "moves now", notYet: "live once it is saved", sensorName: (name: string) => `Name of sensor ${name}`, takeOff: "Take off", takeOffNamed: (name: string) => `Take off ${name}`,
     height: "Height of the person, m", nowSegment: (sensor: string) => `Now press where ${sensor} sits.`, nowSensor: (segment: string) => `Now press the sensor on: ${segment}.`, nowEither: "Press a sensor or a part of the body.",
-    figure: "The body, from the front", right: "right", left: "left", segment: (name: string, sensors: string) => (sensors === "" ? name : `${name}: ${sensors}`),
+    figure: "The body, from the front", figureBack: "The body, from behind", behind: "From behind", front: "From the front", right: "right", left: "left", segment: (name: string, sensors: string) => (sensors === "" ? name : `${name}: ${sensors}`),
     segments: {
       head: "head", torso: "chest", pelvis: "pelvis", shoulder_r: "right shoulder", shoulder_l: "left shoulder", upper_arm_r: "right upper arm", upper_arm_l: "left upper arm",
       forearm_r: "right forearm", forearm_l: "left forearm", hand_r: "right hand", hand_l: "left hand", thigh_r: "right thigh", thigh_l: "left thigh", shank_r: "right shank", shank_l: "left shank", foot_r: "right foot", foot_l: "left foot",
@@ -250,7 +269,7 @@ export const en = {
     loses: (share: string) => `${share} % of its samples are lost`, losesFix: "Bring the receiver closer, use a shorter cable, or let the device send fewer samples a second.",
     clockLoose: (ms: string) => `its clock is only known to ${ms} ms`, clockFix: "Wait half a minute: it settles. If it does not, its USB adapter or network delays what it sends.",
     figures: (hz: string, lost: string, ms: string) => `${hz} Hz, ${lost} % lost, clock ± ${ms} ms`,
-    calibrations: "Calibrations, in their order", optional: "once for each unit and room; it goes without", needed: "needed", doneNow: "done", leftOut: "left out", open: "Open", openNamed: (name: string) => `Open: ${name}`,
+    calibrations: "Calibrations, in their order", optional: "once for each unit and room; it goes without", needed: "needed", doneNow: "done", doneOf: (n: number, of: number) => `${n} of ${of} done`, notKept: "in use until the daemon ends: keep it in the stage file", leftOut: "left out", open: "Open", openNamed: (name: string) => `Open: ${name}`,
     leaveOut: (name: string) => `Leave out: ${name}`, thenNext: (name: string) => `Next calibration: ${name}`, bodyWhy: "How each sensor sits on its segment: without it there is no body.",
     imuWhy: "Biases and scales of one IMU: angles drift less.", alignWhy: "How the transmitter stands in the room: up is up, and IMUs agree with it.", fieldWhy: "Metal bends the field: positions get better by centimetres.",
     bodyMissing: "It is not known yet how the sensors sit: calibrate the body.", bodyKnown: "It is known how the sensors sit.", noCalibration: "Nothing on this stage needs a calibration.",

@@ -1,5 +1,14 @@
 // What a button does, and what went wrong with it.
 
+import { Refused } from "../link";
+import { words } from "../text/index.svelte";
+
+/** What went wrong, in the language of the page where that has it. */
+export function saidOf(error: unknown): string {
+  if (error instanceof Refused) return (error.reason && words.text.daemon.refused(error.reason, error.values)) ?? error.message;
+  return error instanceof Error ? error.message : String(error);
+}
+
 export class Action {
   says = $state("");
 
@@ -14,7 +23,7 @@ export class Action {
     try {
       await does();
     } catch (error) {
-      this.says = error instanceof Error ? error.message : String(error);
+      this.says = saidOf(error);
     }
   }
 }

@@ -1205,8 +1205,14 @@ class ErrorReply(TypedDict):
     message: str
     """For people: what was wrong and what would be right, in one sentence."""
 
+    reason: NotRequired[RefusalReason | None]
+    """Which sentence, for who says it in another language; null where only `message` has it."""
+
     type: Literal["error"]
     """Which message it is."""
+
+    values: NotRequired[dict[str, str]]
+    """What the sentence names, by name: all that another language needs to say `reason`."""
 
 
 class Exercise(TypedDict):
@@ -1821,6 +1827,79 @@ Field: TypeAlias = 'Literal["name", "state", "device", "position_m", "orientatio
 """Something that a `sensors` entry can say; name and state are always said."""
 
 
+class FieldAskShow(TypedDict):
+    """Switch its sensors on, or bring it near: none of them is seen."""
+
+    ask: Literal["show"]
+
+
+class FieldAskMove(TypedDict):
+    """Move it."""
+
+    ask: Literal["move"]
+
+
+class FieldAskBegin(TypedDict):
+    """Move it for a minute: there is too little to judge by."""
+
+    ask: Literal["begin"]
+
+    instants: int
+    """Instants that could be used so far."""
+
+
+class FieldAskCarry(TypedDict):
+    """Carry it along a direction."""
+
+    along: list[float]
+    """Which."""
+
+    ask: Literal["carry"]
+
+    moved_m: float
+    """How far its middle has moved that way (standard deviation), m."""
+
+
+class FieldAskHold(TypedDict):
+    """Hold it along a direction, in which it was hardly ever."""
+
+    along: list[float]
+    """Which."""
+
+    ask: Literal["hold"]
+
+
+class FieldAskHoldOnce(TypedDict):
+    """The same, where it never was."""
+
+    along: list[float]
+    """Which."""
+
+    ask: Literal["hold_once"]
+
+
+class FieldAskVisit(TypedDict):
+    """Go near a place."""
+
+    ask: Literal["visit"]
+
+    near_m: list[float]
+    """Middle of what was not, m."""
+
+    visited: float
+    """Share of the volume that was visited, 0 to 1."""
+
+
+class FieldAskGoOn(TypedDict):
+    """Go on: everything was seen, but too briefly."""
+
+    ask: Literal["go_on"]
+
+
+FieldAsk: TypeAlias = "FieldAskShow | FieldAskMove | FieldAskBegin | FieldAskCarry | FieldAskHold | FieldAskHoldOnce | FieldAskVisit | FieldAskGoOn"
+"""What somebody is asked to do with the pole. Directions and places are in the transmitter's frame."""
+
+
 class FieldEventMessageModelSwapped(TypedDict):
     """A model was swapped in between two frames."""
 
@@ -2224,6 +2303,11 @@ class Hello(TypedDict):
 
     transmitter: Pose
     """Magnetic transmitter to room, as the stage file has it; a `field` event tells when it is changed."""
+
+    transmitter_given: bool
+    """Whether the stage file says how the transmitter stands; without, `transmitter` is where the room's axes are
+    taken from.
+    """
 
     type: Literal["hello"]
     """Which message it is."""
@@ -3040,6 +3124,9 @@ class Problem(TypedDict):
 class Progress(TypedDict):
     """How far a run is."""
 
+    asks: FieldAsk | None
+    """The same for programs; null when there is enough."""
+
     collecting: bool
     """False once the run has ended: it is the last of its reports."""
 
@@ -3124,6 +3211,12 @@ class Recordings(TypedDict):
 
     recordings: list[str]
     """Their names, in order."""
+
+
+RefusalReason: TypeAlias = 'Literal["bad_name", "file_changed", "hub", "is_read", "is_recorded", "is_watched", "is_written", "job_runs", "jobs_run", "no_attached_imu", "no_body", "no_file", "no_imu", "no_magnetic", "no_sensor", "no_take", "not_magnetic", "nothing_collected", "pole_sensors", "pole_spacing", "repetitions", "requests_wait", "session_runs", "take_exists", "watches"]'
+"""Why a request was not carried out, as far as other languages than English say it. Words in backquotes are names of
+`values`.
+"""
 
 
 class RelatedClock(TypedDict):
@@ -3454,6 +3547,11 @@ class SensorStatus(TypedDict):
     battery_v: float | None
     """Voltage of its battery, V; null likewise."""
 
+    corrected: bool
+    """Whether its records are corrected by its unit's own biases and scales (`imu.calibrate`), kept from before or
+    found just now.
+    """
+
     estimated: bool
     """Whether `lost` is partly estimated, because whole cycles left no trace in the bytes."""
 
@@ -3762,6 +3860,18 @@ class StageChangeNameStage(TypedDict):
     """Which."""
 
 
+class StageChangePlaceTransmitter(TypedDict):
+    """Says how the magnetic transmitter stands in the room."""
+
+    change: Literal["place_transmitter"]
+
+    orientation_wxyz: list[float]
+    """Turns transmitter coordinates into room coordinates: unit quaternion, scalar first."""
+
+    position_m: list[float]
+    """Its place, m."""
+
+
 class StageChangeAdd(TypedDict):
     """Adds a device, a sensor or a body behind those that there are."""
 
@@ -3804,7 +3914,7 @@ class StageChangeRemove(TypedDict):
     """What."""
 
 
-StageChange: TypeAlias = "StageChangeNameStage | StageChangeAdd | StageChangeSet | StageChangeRemove"
+StageChange: TypeAlias = "StageChangeNameStage | StageChangePlaceTransmitter | StageChangeAdd | StageChangeSet | StageChangeRemove"
 """One change of a stage file."""
 
 

@@ -13,10 +13,9 @@ use super::super::observers::{AlignmentSample, AlignmentSource};
 use super::super::server::{Refusal, Reply};
 use super::Calls;
 use super::guided::{self, Guided};
-use posed_fusion::align::Guide;
-use posed_fusion::align::{Found, align_recording, stand};
+use posed_fusion::align::{Ask, Found, Guide, align_recording, stand};
 use posed_geometry::orientation_to_wxyz;
-use posed_protocol::RoomPoint;
+use posed_protocol::{RefusalReason, RoomPoint};
 use posed_stage::input::{Model, SensorIndex};
 
 /// What a good alignment leaves at most: of the rotations, degrees; of the second differences and of the anchors, m.
@@ -38,24 +37,26 @@ impl Calls {
         let name = match &sensor {
             Some(name) if magnetic.contains(&name.as_str()) => name.as_str(),
             Some(name) => {
-                return Err(Refusal::bad_request(format!(
-                    "sensor: this stage has no magnetic sensor {name:?}"
-                )));
+                let sentence = format!("sensor: this stage has no magnetic sensor {name:?}");
+                return Err(Refusal::bad_request(sentence)
+                    .because(RefusalReason::NotMagnetic)
+                    .with("name", name));
             }
-            None => *magnetic
-                .iter()
-                .find(|name| wears_imu(name))
-                .or(magnetic.first())
-                .ok_or_else(|| Refusal::bad_request("this stage has no magnetic sensor"))?,
+            None => *magnetic.iter().find(|name| wears_imu(name)).or(magnetic.first()).ok_or_else(|| {
+                Refusal::bad_request("this stage has no magnetic sensor").because(RefusalReason::NoMagnetic)
+            })?,
         };
         let index = |name: &str| self.stage.sensors.iter().position(|sensor| sensor.name == name);
         let unknown = || Refusal::bad_request(format!("sensor: this stage has no sensor {name:?}"));
         let sensor = index(name).ok_or_else(unknown)?;
         let imu = self.stage.sensors[sensor].imu.as_ref().and_then(|imu| index(&imu.sensor));
         if imu.is_none() && anchors.len() < 3 {
-            return Err(Refusal::bad_request(format!(
+            let sentence = format!(
                 "anchors: no IMU is attached to {name:?}, so it takes three surveyed points or more; or write `imu` at it in the stage file"
-            )));
+            );
+            return Err(Refusal::bad_request(sentence)
+                .because(RefusalReason::NoAttachedImu)
+                .with("name", name));
         }
         if anchors.iter().any(|anchor| anchor.position_m.iter().any(|value| !value.is_finite())) {
             return Err(Refusal::bad_request("anchors: give finite numbers"));
@@ -65,6 +66,7 @@ impl Calls {
             name: name.to_owned(),
             sensor: sensor as SensorIndex,
             imu: imu.map(|imu| imu as SensorIndex),
+            attached: imu.map(|imu| self.stage.sensors[imu].name.clone()),
             magnetometer: imu.is_some_and(|imu| self.stage.sensors[imu].magnetometer),
             transmitter_m: self.stage.transmitter.pose_in_room.map_or([0.0; 3], |pose| pose.position_m),
             anchors: anchors.into_iter().map(place).collect(),
@@ -78,6 +80,8 @@ struct Session {
     name: String,
     sensor: SensorIndex,
     imu: Option<SensorIndex>,
+    /// The IMU's name.
+    attached: Option<String>,
     magnetometer: bool,
     /// Where the stage file has the transmitter; it stays there where no anchor specifies otherwise.
     transmitter_m: [f64; 3],
@@ -98,7 +102,7 @@ impl Session {
         let (recording, anchors) = guide.recorded();
         if self.imu.is_none() {
             let (room, left_m) = stand(anchors)?;
-            job.result(json!({ "transmitter": pose(&room), "anchors_m": left_m }));
+            job.result(json!({ "sensor": self.name, "transmitter": pose(&room), "anchors_m": left_m }));
             return self.use_it(&room, None, left_m);
         }
         let found = align_recording(recording, anchors, self.magnetometer)
@@ -109,8 +113,10 @@ impl Session {
             room.translation.vector = self.transmitter_m.into();
         }
         job.result(json!({
+            "sensor": self.name,
             "transmitter": pose(&room),
             "imu": {
+                "sensor": self.attached,
                 "quat_wxyz": orientation_to_wxyz(&alignment.q_sensor_imu),
                 "offset_m": <[f64; 3]>::from(alignment.lever_m),
                 "clock_offset_ms": 1e3 * clock_offset_s,
@@ -179,7 +185,15 @@ impl Guided for Alignment<'_> {
     }
 
     fn report(&mut self, job: &Job, prompt: &str) {
-        job.progress(Some(self.guide.progress()), Some(prompt.to_owned()));
+        let asks = match self.guide.asks() {
+            Some(Ask::Anchor { name, position_m }) => {
+                json!({"asks": "anchor", "anchor": name, "position_m": position_m})
+            }
+            Some(Ask::Wave) => json!({"asks": "wave"}),
+            Some(Ask::OtherAxis) => json!({"asks": "other_axis"}),
+            None => json!({"asks": null}),
+        };
+        job.progress_with(Some(self.guide.progress()), prompt.to_owned(), asks);
     }
 
     fn time_s(sample: &AlignmentSample) -> f64 {

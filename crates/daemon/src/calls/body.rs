@@ -4,6 +4,7 @@
 //! the end a mounting for the pipeline, with who sits where if that was asked too, or one sentence about what to repeat. A mounting
 //! that is not good is not used.
 
+use posed_protocol::RefusalReason;
 use serde_json::{Map, Value, json};
 
 use super::super::fusion::{Command, FusionInbox};
@@ -42,7 +43,7 @@ impl Calls {
     pub(super) fn body(&self, name: Option<&str>) -> Result<BodyIndex, Refusal> {
         let names = self.stage.body_names();
         body_named(names.clone(), name).map_err(|_| match self.stage.bodies.is_empty() {
-            true => Refusal::new("no_body", "this stage has no [[body]]"),
+            true => Refusal::new("no_body", "this stage has no [[body]]").because(RefusalReason::NoBody),
             false => {
                 Refusal::bad_request(format!("body: name one of {}", names.collect::<Vec<_>>().join(", ")))
             }

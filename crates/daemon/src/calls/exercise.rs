@@ -3,6 +3,7 @@
 //! Teaching is a job on a thread of its own. It asks the fusion thread for the newest seconds, and what it has learned
 //! goes the way of every model and request: through the input log.
 
+use posed_protocol::RefusalReason;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -127,7 +128,8 @@ impl Calls {
     fn check_lesson(&self, lesson: &Lesson) -> Result<(), server::Refusal> {
         Library::check_name(&lesson.name).map_err(server::Refusal::bad_request)?;
         if !(2..=100).contains(&lesson.repetitions) {
-            return Err(server::Refusal::bad_request("repetitions: give 2 to 100; 3 to 10 are good"));
+            let sentence = "repetitions: give 2 to 100; 3 to 10 are good";
+            return Err(server::Refusal::bad_request(sentence).because(RefusalReason::Repetitions));
         }
         if lesson.last_s.is_some_and(|last_s| !(1.0..=LONGEST_S).contains(&last_s)) {
             return Err(server::Refusal::bad_request(format!("last_s: give 1 to {LONGEST_S:.0} seconds")));

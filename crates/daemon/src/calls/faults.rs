@@ -18,7 +18,7 @@ use posed_fusion::faults::Class;
 use posed_motion::fault_map::Frames;
 use posed_motion::fault_map::Training;
 use posed_motion::fault_map::{FaultMap, Size};
-use posed_protocol::{Answer, KeptFile};
+use posed_protocol::{Answer, KeptFile, RefusalReason};
 use posed_recording::raw_poses;
 use posed_stage::input::Model;
 
@@ -47,7 +47,8 @@ impl Calls {
             return reply.error("bad_request", "give last_s or recording, not both");
         }
         if self.stage.magnetic_sensors().is_empty() {
-            return reply.error("bad_request", "this stage has no magnetic sensors");
+            let sentence = "this stage has no magnetic sensors";
+            return reply.refuse(Refusal::bad_request(sentence).because(RefusalReason::NoMagnetic));
         }
         let source = match recording.map(|name| self.recorded(&name)).transpose() {
             Ok(Some(path)) => Source::Recording(path),

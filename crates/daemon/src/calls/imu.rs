@@ -4,6 +4,7 @@
 //! message, and which directions were held, as its result; in the end a file of the unit and a model for the pipeline, through its
 //! log. Intrinsics that are not good are neither kept nor used.
 
+use posed_protocol::RefusalReason;
 use std::io::Write;
 use std::path::PathBuf;
 
@@ -17,7 +18,7 @@ use super::super::server::{Refusal, Reply};
 use super::Calls;
 use super::guided::{self, Guided};
 use posed_fusion::ahrs::ImuSample;
-use posed_fusion::intrinsics::{Guide, Progress};
+use posed_fusion::intrinsics::{Ask, Guide, Progress};
 use posed_fusion::intrinsics::{Intrinsics, SIDES};
 use posed_recording::AtomicFile;
 use posed_stage::Driver;
@@ -37,7 +38,9 @@ impl Calls {
             (0..).zip(&self.stage.sensors).filter(|(_, known)| self.stage.is_imu(known)).collect();
         let names = || imus.iter().map(|(_, known)| known.name.as_str()).collect::<Vec<_>>().join(", ");
         let found = match (&sensor, imus.as_slice()) {
-            (_, []) => return Err(Refusal::bad_request("this stage has no IMU")),
+            (_, []) => {
+                return Err(Refusal::bad_request("this stage has no IMU").because(RefusalReason::NoImu));
+            }
             (None, [only]) => only,
             (None, _) => return Err(Refusal::bad_request(format!("sensor: name one of {}", names()))),
             (Some(name), _) => imus.iter().find(|(_, known)| known.name == *name).ok_or_else(|| {
@@ -142,8 +145,9 @@ impl Guided for Imu<'_> {
 
     fn report(&mut self, job: &Job, prompt: &str) {
         let progress = self.guide.progress();
-        job.result(emitted(&progress));
-        job.progress(Some(share(&progress)), Some(prompt.to_owned()));
+        let mut result = emitted(&progress);
+        result["asks"] = json!(self.guide.asks().map(Ask::name));
+        job.progress_with(Some(share(&progress)), prompt.to_owned(), result);
     }
 
     fn time_s((t_s, _): &(f64, ImuSample)) -> f64 {

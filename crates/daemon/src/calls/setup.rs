@@ -13,7 +13,7 @@ use super::super::stages::Editor;
 use super::{Calls, Refusal, Reply};
 use posed_drivers::port;
 use posed_protocol::{
-    Found, FoundPort, FoundSensor, Setup, SetupBody, SetupDevice, SetupProblem, SetupSensor,
+    Found, FoundPort, FoundSensor, RefusalReason, Setup, SetupBody, SetupDevice, SetupProblem, SetupSensor,
 };
 use posed_stage::edit::{Change, edit, owners};
 use posed_stage::{Problem, Report, SEGMENTS, Stage, without_secrets};
@@ -89,18 +89,20 @@ impl Calls {
 
     /// Writes changes into the stage file, and has the changed stage begin.
     pub(super) fn save_setup(&self, changes: &[Change], read: &str) -> Result<(), Refusal> {
-        let Some(editor) = &self.file.editor else { return Err(Refusal::new("read_only", NO_FILE)) };
+        let Some(editor) = &self.file.editor else {
+            return Err(Refusal::new("read_only", NO_FILE).because(RefusalReason::NoFile));
+        };
         if let Some(why_not) = editor.why_not() {
             return Err(Refusal::new("read_only", why_not));
         }
         if let Some(running) = self.jobs.running().first() {
             let reason = format!("{running} is running: the stage changes when it has ended, or was stopped");
-            return Err(Refusal::new("busy", reason));
+            return Err(Refusal::new("busy", reason).because(RefusalReason::JobRuns).with("job", running));
         }
         let before = self.file.read()?;
         if revision(&before) != read {
             let reason = "the stage file was changed by somebody else meanwhile: read it again";
-            return Err(Refusal::new("changed", reason));
+            return Err(Refusal::new("changed", reason).because(RefusalReason::FileChanged));
         }
         let text = edited(before.clone(), changes)?;
         if text == before {

@@ -1,5 +1,6 @@
 //! `library.export`: what `posed export` writes, into a folder from where it is fetched.
 
+use posed_protocol::RefusalReason;
 use std::path::Path;
 
 use serde_json::json;
@@ -58,7 +59,8 @@ impl Librarian {
         let export = wanted.export()?;
         let path = recordings::find(&self.folder, name)?;
         if self.in_use.is_recorded(&path) {
-            return Err(Refusal::new("busy", "it is being recorded; stop that first"));
+            return Err(Refusal::new("busy", "it is being recorded; stop that first")
+                .because(RefusalReason::IsRecorded));
         }
         Ok((export, path))
     }

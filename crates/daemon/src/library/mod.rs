@@ -22,7 +22,7 @@ pub use self::moving::forget;
 use super::jobs::{Jobs, give_way};
 use super::recordings;
 use super::server::{LetGo, Refusal, Reply};
-use posed_protocol::{Answer, Call, Digested, Takes};
+use posed_protocol::{Answer, Call, Digested, RefusalReason, Takes};
 use posed_recording::{ReadError, keep_digest, make_digest, read_digest};
 
 /// Calls that may wait for the disk.
@@ -165,7 +165,8 @@ impl Librarian {
             Err(error) => return reply.refuse(Refusal::failed(error)),
         }
         if self.in_use.is_recorded(&path) {
-            return reply.error("busy", "it is still being recorded; it has a digest once that has ended");
+            let sentence = "it is still being recorded; it has a digest once that has ended";
+            return reply.refuse(Refusal::new("busy", sentence).because(RefusalReason::IsRecorded));
         }
         let (held, name) = (self.in_use.hold(&path, Use::Read), name.to_owned());
         jobs.run("library.digest", reply, move |job| {

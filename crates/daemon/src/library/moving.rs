@@ -8,7 +8,7 @@ use std::time::Duration;
 use super::{BIN, EXPORTS, Librarian, Outcome, Use};
 use crate::recordings;
 use crate::server::Refusal;
-use posed_protocol::{Answer, Removed, Renamed};
+use posed_protocol::{Answer, RefusalReason, Removed, Renamed};
 use posed_recording::table::LabelFiles;
 use posed_recording::{digest_file, sync_folder_of};
 
@@ -71,20 +71,23 @@ impl Librarian {
     /// A recording that may be moved.
     fn movable(&self, name: &str) -> Result<PathBuf, Refusal> {
         let path = recordings::find(&self.folder, name)?;
-        let busy = |sentence: &str| Err(Refusal::new("busy", sentence));
+        let busy =
+            |reason: RefusalReason, sentence: &str| Err(Refusal::new("busy", sentence).because(reason));
         match self.in_use.of(&path) {
             // Another program may be recording into it: a recorder locks its file.
-            None if is_locked(&path) => busy("another program writes it; stop that first"),
+            None if is_locked(&path) => {
+                busy(RefusalReason::IsWritten, "another program writes it; stop that first")
+            }
             None => Ok(path),
-            Some(Use::Recorded) => busy("it is being recorded; stop that first"),
-            Some(Use::Read) => busy("a job reads it; wait for that, or cancel it"),
+            Some(Use::Recorded) => busy(RefusalReason::IsRecorded, "it is being recorded; stop that first"),
+            Some(Use::Read) => busy(RefusalReason::IsRead, "a job reads it; wait for that, or cancel it"),
             Some(Use::Played) => {
                 // It is kept open for who comes back; who moves it does not.
                 let closes = self.shared.let_go.get().is_some_and(|let_go| let_go(name));
                 if closes && self.in_use.wait_until_free(&path, CLOSING) {
                     return Ok(path);
                 }
-                busy("somebody watches it; close it first")
+                busy(RefusalReason::IsWatched, "somebody watches it; close it first")
             }
         }
     }
@@ -105,6 +108,8 @@ fn refusal(error: &io::Error, name: &str) -> Refusal {
     match error.kind() {
         io::ErrorKind::AlreadyExists => {
             Refusal::new("exists", format!("there is a recording {name:?} already; choose another name"))
+                .because(RefusalReason::TakeExists)
+                .with("name", name)
         }
         _ => Refusal::failed(error),
     }

@@ -263,6 +263,7 @@ impl Health {
             battery: counted.condition.battery,
             battery_v: counted.condition.battery_v,
             signal_dbm: counted.condition.signal_dbm,
+            corrected: counted.corrected,
         };
         Status {
             t_s: now.as_secs_f64(),
@@ -294,9 +295,11 @@ impl Health {
     fn problems(&self, clock: &StageClock, pipeline: &PipelineStatus) -> Vec<Problem> {
         let mut problems = Vec::new();
         for device in &self.devices {
-            problems.extend(
-                device.warnings.iter().map(|text| Problem::new("device", format!("{}: {text}", device.name))),
-            );
+            problems.extend(device.warnings.iter().map(|text| {
+                Problem::new("device", format!("{}: {text}", device.name))
+                    .with("device", &device.name)
+                    .with("warning", text)
+            }));
         }
         for (body, name) in pipeline.bodies.iter().zip(&self.names) {
             let Some(body) = body else { continue };

@@ -149,10 +149,7 @@ impl Directory {
         let Some(asking) = self.clients.get_mut(&client) else { return };
         let outbox = Arc::clone(&asking.outbox);
         let refuse = |code: &str, message: String| {
-            report(
-                &outbox,
-                &ServerMessage::Error(ErrorReply { id: Some(id.clone()), code: code.into(), message }),
-            );
+            report(&outbox, &ServerMessage::Error(ErrorReply::new(Some(id.clone()), code, message)));
         };
         match &feed {
             Feed::Subscribe { .. } if !asking.has_room_for(stages.as_deref(), &feed) => {
@@ -248,6 +245,7 @@ impl Member {
             topics: Vec::new(),
             sensors: Vec::new(),
             transmitter: Pose::IDENTITY,
+            transmitter_given: false,
             role: Role::Watch,
             last_event_id: 0,
         };
@@ -282,7 +280,7 @@ impl Dialect for Member {
 
 /// A request as at one stage, with `stages` beside it: names, absent for all.
 fn read(received: Received<'_>) -> Result<(RequestId, Option<Vec<String>>, Feed), ErrorReply> {
-    let bad = |message: String| ErrorReply { id: None, code: "bad_request".into(), message };
+    let bad = |message: String| ErrorReply::new(None, "bad_request", message);
     let mut value: Value = match received {
         Received::Text(text) => serde_json::from_str(text).map_err(|error| bad(error.to_string()))?,
         Received::Binary(bytes) => unpack(bytes).map_err(|error| bad(error.to_string()))?,
@@ -294,14 +292,14 @@ fn read(received: Received<'_>) -> Result<(RequestId, Option<Vec<String>>, Feed)
         // Before it waits anywhere.
         Ok((id, Request::Feed(feed))) if bytes_of(stages.as_deref(), &feed) > WISH_BYTES => {
             let message = "the lists of this request are too long".to_owned();
-            Err(ErrorReply { id: Some(id), code: "too_large".into(), message })
+            Err(ErrorReply::new(Some(id), "too_large", message))
         }
         Ok((id, Request::Feed(feed))) => Ok((id, stages, feed)),
         Ok((id, Request::Call(_))) => {
-            let message = "a hub shows its stages; ask the daemon of the stage itself for this".into();
-            Err(ErrorReply { id: Some(id), code: "hub".into(), message })
+            let message = "a hub shows its stages; ask the daemon of the stage itself for this";
+            Err(ErrorReply::new(Some(id), "hub", message))
         }
-        Err(error) => Err(ErrorReply { id: error.id, code: error.code.into(), message: error.message }),
+        Err(error) => Err(ErrorReply::new(error.id, error.code, error.message)),
     }
 }
 

@@ -186,7 +186,7 @@ impl Distributor {
             Command::Feed { client, id, feed } => {
                 let Some(at) = self.clients.iter().position(|c| c.id == client) else { return };
                 if let Err((code, message)) = self.feed(at, &id, feed) {
-                    let error = ErrorReply { id: Some(id), code: code.into(), message };
+                    let error = ErrorReply::new(Some(id), code, message);
                     self.clients[at].reply(&ServerMessage::Error(error));
                 }
             }

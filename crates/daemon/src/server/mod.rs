@@ -244,7 +244,8 @@ struct Greeting {
     stage: String,
     epoch_utc: String,
     bodies: Vec<HelloBody>,
-    transmitter: Pose,
+    /// As the stage file has it.
+    transmitter: Option<Pose>,
     topics: Vec<Topic>,
 }
 
@@ -464,7 +465,7 @@ impl StageServices {
                     .zip(&stage.bodies)
                     .map(|(index, body)| hello_body(stage, index, body))
                     .collect(),
-                transmitter: stage.transmitter.pose_in_room.unwrap_or(Pose::IDENTITY),
+                transmitter: stage.transmitter.pose_in_room,
                 topics,
             },
             names,

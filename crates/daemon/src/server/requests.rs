@@ -1,5 +1,6 @@
 //! What clients of our own protocol ask for: feeds go to the distributor, calls to the daemon, everything is answered.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -11,10 +12,10 @@ use super::distributor::{self, ClientId};
 use super::outbox::{Close, Outbox, Outgoing};
 use super::{Command, Shared};
 use posed_protocol::{
-    Answer, Call, Encoding, ErrorReply, Hello, OkReply, ParseError, Request, RequestId, ServerMessage,
-    encode, parse,
+    Answer, Call, Encoding, ErrorReply, Hello, OkReply, ParseError, RefusalReason, Request, RequestId,
+    ServerMessage, encode, parse,
 };
-use posed_stage::Role;
+use posed_stage::{Pose, Role};
 
 /// How long a request waits for a place among those that are handed on.
 const A_MOMENT: Duration = Duration::from_millis(100);
@@ -34,11 +35,26 @@ pub struct PendingCall {
 pub struct Refusal {
     code: &'static str,
     message: String,
+    /// Which sentence, for who says it in another language.
+    reason: Option<RefusalReason>,
+    values: BTreeMap<String, String>,
 }
 
 impl Refusal {
-    pub(crate) fn new(code: &'static str, reason: impl ToString) -> Self {
-        Self { code, message: reason.to_string() }
+    pub(crate) fn new(code: &'static str, message: impl ToString) -> Self {
+        Self { code, message: message.to_string(), reason: None, values: BTreeMap::new() }
+    }
+
+    /// The same, as a sentence that other languages have: this one of them.
+    pub(crate) fn because(mut self, reason: RefusalReason) -> Self {
+        self.reason = Some(reason);
+        self
+    }
+
+    /// The same with something that the sentence names.
+    pub(crate) fn with(mut self, name: &str, value: impl ToString) -> Self {
+        self.values.insert(name.to_owned(), value.to_string());
+        self
     }
 
     /// What was asked for makes no sense here.
@@ -73,7 +89,7 @@ impl Reply {
     /// Answers that it is not done: a code for programs, a sentence for people.
     pub fn error(mut self, code: &str, message: impl Into<String>) {
         let id = self.id.take();
-        self.send(&ServerMessage::Error(ErrorReply { id, code: code.into(), message: message.into() }));
+        self.send(&ServerMessage::Error(ErrorReply::new(id, code, message)));
     }
 
     /// Answers how it came out.
@@ -85,8 +101,9 @@ impl Reply {
     }
 
     /// It is not done, for this reason.
-    pub(crate) fn refuse(self, Refusal { code, message }: Refusal) {
-        self.error(code, message);
+    pub(crate) fn refuse(mut self, Refusal { code, message, reason, values }: Refusal) {
+        let id = self.id.take();
+        self.send(&ServerMessage::Error(ErrorReply { id, code: code.into(), message, reason, values }));
     }
 
     fn send(&self, message: &ServerMessage) {
@@ -97,12 +114,8 @@ impl Reply {
 impl Drop for Reply {
     fn drop(&mut self) {
         if let Some(id) = self.id.take() {
-            let message = "the daemon did not carry this out: it is busy with something else, or ends".into();
-            self.send(&ServerMessage::Error(ErrorReply {
-                id: Some(id),
-                code: "unavailable".into(),
-                message,
-            }));
+            let message = "the daemon did not carry this out: it is busy with something else, or ends";
+            self.send(&ServerMessage::Error(ErrorReply::new(Some(id), "unavailable", message)));
         }
     }
 }
@@ -128,7 +141,8 @@ impl Requests {
             skeleton: shared.greeting.bodies.first().map(|body| body.skeleton),
             height_m: shared.greeting.bodies.first().and_then(|body| body.height_m),
             bodies: shared.greeting.bodies.clone(),
-            transmitter: shared.greeting.transmitter,
+            transmitter: shared.greeting.transmitter.unwrap_or(Pose::IDENTITY),
+            transmitter_given: shared.greeting.transmitter.is_some(),
             topics: shared.greeting.topics.clone(),
             sensors: shared.hello_sensors(),
             role,
@@ -147,20 +161,20 @@ impl Requests {
     async fn call(&self, id: RequestId, call: Call) {
         let reply = Reply::new(Arc::clone(&self.outbox), id);
         if !self.shared.operable {
-            reply.error("hub", "a hub shows its stages; ask the daemon of the stage itself for this");
-            return;
+            let sentence = "a hub shows its stages; ask the daemon of the stage itself for this";
+            return reply.refuse(Refusal::new("hub", sentence).because(RefusalReason::Hub));
         }
         if call.changes_something() && self.role < Role::Operate {
-            reply.error(
-                "forbidden",
-                "this token may watch; the request needs a token with the role `operate`",
-            );
-            return;
+            let sentence = "this token may watch; the request needs a token with the role `operate`";
+            return reply.refuse(Refusal::new("forbidden", sentence).because(RefusalReason::Watches));
         }
         // In turn, so that who asks without end takes nobody's place.
         match timeout(A_MOMENT, self.shared.calls.reserve()).await {
             Ok(Ok(place)) => place.send(PendingCall { call, reply }),
-            Err(_) => reply.error("busy", "too many requests are waiting; try again in a moment"),
+            Err(_) => {
+                let sentence = "too many requests are waiting; try again in a moment";
+                reply.refuse(Refusal::new("busy", sentence).because(RefusalReason::RequestsWait));
+            }
             // Its reply says so as it is dropped.
             Ok(Err(_)) => {}
         }
@@ -183,7 +197,7 @@ impl Dialect for Requests {
             }
             Ok((id, Request::Call(call))) => self.call(id, call).await,
             Err(ParseError { id, code, message }) => {
-                let error = ErrorReply { id, code: code.into(), message };
+                let error = ErrorReply::new(id, code, message);
                 let bytes = encode::whole(self.outbox.encoding(), &ServerMessage::Error(error));
                 self.outbox.push_lossless(Outgoing::Whole(bytes));
             }

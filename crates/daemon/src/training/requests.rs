@@ -11,7 +11,9 @@ use super::plan::PlanRun;
 use super::state::{Running, State};
 use posed_motion::exercise::Language;
 use posed_pipeline::DEFAULT_SUBJECT;
-use posed_protocol::{Answer, ListedSessions, People, Plans, Report, ReportLanguage, SessionBegun, Shown};
+use posed_protocol::{
+    Answer, ListedSessions, People, Plans, RefusalReason, Report, ReportLanguage, SessionBegun, Shown,
+};
 use posed_sessions::{EndedBy, NewSession, Plan, SessionId, Store, StoreError, report};
 use posed_stage::input::Model;
 
@@ -43,7 +45,10 @@ impl Training {
         let subject = subject.unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
         let (mut state, decided) = self.shared.up_to_date();
         if state.running.iter().any(|running| running.subject == subject) {
-            return Err(Refusal::new("already", format!("a session of {subject:?} goes on; end that first")));
+            let sentence = format!("a session of {subject:?} goes on; end that first");
+            return Err(Refusal::new("already", sentence)
+                .because(RefusalReason::SessionRuns)
+                .with("person", subject));
         }
         if state.running.len() >= RUNNING {
             return Err(Refusal::new("busy", format!("{RUNNING} sessions go on already")));

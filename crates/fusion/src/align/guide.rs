@@ -21,6 +21,22 @@ const ROTATES_RAD_S: f64 = 0.5;
 /// And so far to and fro about a second axis (standard deviation), rad.
 const SPREAD_RAD: f64 = 0.3;
 
+/// What somebody is asked to do with the sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Ask<'a> {
+    /// Hold it still at an anchor.
+    Anchor {
+        /// The anchor's name.
+        name: &'a str,
+        /// Its place in the room, m.
+        position_m: [f64; 3],
+    },
+    /// Turn it to and fro about all axes.
+    Wave,
+    /// Turn it about an axis that it was hardly turned about.
+    OtherAxis,
+}
+
 /// An alignment on its way.
 #[derive(Clone, Debug)]
 pub struct Guide {
@@ -112,24 +128,31 @@ impl Guide {
         (self.points.len() as f64 + moved) / steps.max(1.0)
     }
 
-    /// What to do now, a sentence without a full stop; `None` once all is done.
-    pub fn prompt(&self) -> Option<String> {
-        if let Some((name, [x, y, z])) = self
-            .anchors
-            .get(self.points.len())
-            .map(|(name, position_m)| (name, <[f64; 3]>::from(*position_m)))
-        {
-            return Some(format!("hold the sensor still at {name:?} ({x:.3}, {y:.3}, {z:.3} m in the room)"));
+    /// What to do now; `None` once all is done.
+    pub fn asks(&self) -> Option<Ask<'_>> {
+        if let Some((name, position_m)) = self.anchors.get(self.points.len()) {
+            return Some(Ask::Anchor { name, position_m: (*position_m).into() });
         }
         if !self.imu || self.is_moved() {
             return None;
         }
-        let words = if self.moved_s < MOVED_S {
-            "turn the sensor quickly to and fro about all its axes, by 45 degrees and more, and go on"
-        } else {
-            "turn the sensor about another axis than up to now, by 45 degrees and more"
-        };
-        Some(words.to_owned())
+        Some(if self.moved_s < MOVED_S { Ask::Wave } else { Ask::OtherAxis })
+    }
+
+    /// The same as a sentence without a full stop.
+    pub fn prompt(&self) -> Option<String> {
+        self.asks().map(|asks| match asks {
+            Ask::Anchor { name, position_m: [x, y, z] } => {
+                format!("hold the sensor still at {name:?} ({x:.3}, {y:.3}, {z:.3} m in the room)")
+            }
+            Ask::Wave => {
+                "turn the sensor quickly to and fro about all its axes, by 45 degrees and more, and go on"
+                    .into()
+            }
+            Ask::OtherAxis => {
+                "turn the sensor about another axis than up to now, by 45 degrees and more".into()
+            }
+        })
     }
 
     fn is_moved(&self) -> bool {

@@ -21,7 +21,7 @@ use nalgebra::{Isometry3, Matrix3, SMatrix, SVector, Translation3, UnitQuaternio
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-pub use guide::Guide;
+pub use guide::{Ask, Guide};
 pub use recording::{Found, Recording, align_recording};
 
 use posed_geometry::so3::log;

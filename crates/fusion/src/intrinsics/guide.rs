@@ -34,6 +34,34 @@ pub struct Guide {
     again: bool,
 }
 
+/// What somebody is asked to do with the unit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ask {
+    /// Turn it on: it rests in a direction that is known.
+    Another,
+    /// Leave it as it is.
+    Keep,
+    /// Place it on a side that was not up yet.
+    Side,
+    /// Lean it on an edge or a corner.
+    Edge,
+    /// Turn it through all directions of the field.
+    Field,
+}
+
+impl Ask {
+    /// Its word for programs.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Another => "another",
+            Self::Keep => "keep",
+            Self::Side => "side",
+            Self::Edge => "edge",
+            Self::Field => "field",
+        }
+    }
+}
+
 /// How far a calibration is.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Progress {
@@ -109,30 +137,44 @@ impl Guide {
         }
     }
 
-    /// What to do now, a sentence without a full stop; `None` once all is done.
-    pub fn prompt(&self) -> Option<String> {
+    /// What to do now; `None` once all is done.
+    pub fn asks(&self) -> Option<Ask> {
         let Progress { directions, wanted, sides, field } = self.progress();
-        let missing: Vec<&str> =
-            SIDES.iter().zip(sides).filter(|(_, held)| !held).map(|(name, _)| *name).collect();
         let rests = self.finder.resting_s() > SEEMS_TO_REST_S;
-        let count = format!("{directions} of {wanted} directions");
-        if self.again && rests && (directions < wanted || !missing.is_empty()) {
-            return Some(format!("{count}: this one is known; turn the unit to another side or edge"));
+        let a_side_is_missing = sides.contains(&false);
+        if self.again && rests && (directions < wanted || a_side_is_missing) {
+            return Some(Ask::Another);
         }
         if rests && directions < wanted {
-            return Some(format!("{count}: leave it as it is"));
+            return Some(Ask::Keep);
         }
-        if !missing.is_empty() {
-            let sides = missing.join(", ");
-            return Some(format!(
-                "{count}: place the unit on another side and let it rest for 2 s; still to be up: {sides}"
-            ));
+        if a_side_is_missing {
+            return Some(Ask::Side);
         }
         if directions < wanted {
-            return Some(format!("{count}: lean the unit on an edge or a corner and let it rest for 2 s"));
+            return Some(Ask::Edge);
         }
-        field.filter(|field| *field < 1.0).map(|field| {
-            format!("the field was seen in {:.0} % of what it takes: turn the unit slowly through all directions, away from iron", 100.0 * field)
+        field.filter(|field| *field < 1.0).map(|_| Ask::Field)
+    }
+
+    /// The same as a sentence without a full stop.
+    pub fn prompt(&self) -> Option<String> {
+        let Progress { directions, wanted, sides, field } = self.progress();
+        let count = format!("{directions} of {wanted} directions");
+        self.asks().map(|asks| match asks {
+            Ask::Another => format!("{count}: this one is known; turn the unit to another side or edge"),
+            Ask::Keep => format!("{count}: leave it as it is"),
+            Ask::Side => {
+                let missing: Vec<&str> =
+                    SIDES.iter().zip(sides).filter(|(_, held)| !held).map(|(name, _)| *name).collect();
+                let sides = missing.join(", ");
+                format!("{count}: place the unit on another side and let it rest for 2 s; still to be up: {sides}")
+            }
+            Ask::Edge => format!("{count}: lean the unit on an edge or a corner and let it rest for 2 s"),
+            Ask::Field => format!(
+                "the field was seen in {:.0} % of what it takes: turn the unit slowly through all directions, away from iron",
+                100.0 * field.unwrap_or_default()
+            ),
         })
     }
 

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use self::fit::{fit_ellipsoid, fit_gravity, gain};
-pub use self::guide::{Guide, Progress};
+pub use self::guide::{Ask, Guide, Progress};
 pub use self::rests::SIDES;
 use self::rests::{Directions, MIN_REST_S, Rest, RestFinder};
 use super::ahrs::ImuSample;

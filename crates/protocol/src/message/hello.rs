@@ -28,6 +28,9 @@ pub struct Hello {
     pub sensors: Vec<HelloSensor>,
     /// Magnetic transmitter to room, as the stage file has it; a `field` event tells when it is changed.
     pub transmitter: Pose,
+    /// Whether the stage file says how the transmitter stands; without, `transmitter` is where the room's axes are taken from.
+    #[serde(default)]
+    pub transmitter_given: bool,
     /// What this client may do.
     pub role: Role,
     /// Number of the newest event, 0 before the first: what a client that starts now has not missed.

@@ -47,7 +47,7 @@ pub use self::library::{
 };
 pub use self::marks::Mark;
 pub use self::phones::{Invitation, Phone, Phones, QrCode};
-pub use self::reply::{ErrorReply, OkReply};
+pub use self::reply::{ErrorReply, OkReply, RefusalReason};
 pub use self::segments::SegmentBody;
 pub use self::sensors::{Change, Measured, Quality, SensorEntry, Sensors};
 pub use self::session::{PlanProgress, RunningSession, Sessions};

@@ -107,6 +107,9 @@ pub struct SensorStatus {
     /// Strength of its radio signal, dBm (-50 is strong, -80 weak); null likewise.
     #[serde(default)]
     pub signal_dbm: Option<f64>,
+    /// Whether its records are corrected by its unit's own biases and scales (`imu.calibrate`), kept from before or found just now.
+    #[serde(default)]
+    pub corrected: bool,
 }
 
 /// Latency of one stage of the flow, ms.
