@@ -56,7 +56,10 @@ impl Placing {
             Some(LinkState::Streaming) if !is_late => "streaming",
             _ => "waiting",
         };
-        let about_it = |problem: &&posed_protocol::Problem| problem.message.contains(&placed.sensor);
+        let about_it = |problem: &&posed_protocol::Problem| {
+            let is = |key: &str, name: &String| problem.values.get(key) == Some(name);
+            is("sensor", &placed.sensor) || is("device", &placed.device)
+        };
         let problems = status.problems.iter().filter(about_it).map(|problem| problem.message.as_str());
         json!({"stage": {
             "name": &*self.stage,
@@ -85,4 +88,29 @@ fn named(stage: &Stage) -> impl Iterator<Item = (&posed_stage::Device, &posed_st
             move |sensor: &posed_stage::Sensor| ids.get(usize::from(sensor.address & 0xFF).checked_sub(1)?);
         of_device(device.name.as_str()).filter_map(move |sensor| Some((device, sensor, id(sensor)?.as_str())))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use posed_protocol::Problem;
+
+    use super::*;
+
+    #[test]
+    fn a_phone_hears_what_is_wrong_with_its_own_sensor_and_device_and_not_with_one_whose_name_is_longer() {
+        let text = "name = \"hall\"\n[[device]]\nname = \"phones\"\ndriver = \"open-imu\"\nport = \"websocket\"\ndevices = [\"one\"]\n\
+            [[sensor]]\nname = \"arm\"\ndevice = \"phones\"\naddress = 1\n";
+        let placing = Placing::new(&Stage::parse(text).unwrap());
+        let about = |code: &str, key: &str, value: &str| {
+            Problem::new(code, format!("{value} {code}")).with(key, value)
+        };
+        let problems = vec![
+            about("battery", "sensor", "arm"),
+            about("battery", "sensor", "forearm"),
+            about("device", "device", "phones"),
+            Problem::new("load", "this machine is too slow for the arm"),
+        ];
+        let report = placing.report("one", &Status { problems, ..Status::default() });
+        assert_eq!(report["stage"]["problems"], json!(["arm battery", "phones device"]));
+    }
 }
