@@ -482,6 +482,11 @@ async fn the_hubs_page_leads_to_the_stages_page() {
     std::fs::write(&north, format!("name = \"North\"\n{more}")).unwrap();
     let north = Posed::start(["run".as_ref(), north.as_os_str()]);
     let hub = hub(port, &[]);
+    let mut operator = stage.client().await;
+    ok(&mut operator, json!({"type": "record.start", "name": "of two"})).await;
+    operator.subscribe(&["sensors"]).await;
+    frames(&mut operator, 20).await;
+    ok(&mut operator, json!({"type": "record.stop"})).await;
     let mut browser = Browser::open(&format!("http://{}/", hub.address)).await;
     let cell = |stage: &str, column: usize| {
         format!("document.querySelector('#stages a[href=\"{stage}/\"]')?.closest('tr').cells[{column}]")
@@ -503,6 +508,17 @@ async fn the_hubs_page_leads_to_the_stages_page() {
     browser.value("document.querySelector('#stages a[href=\"two/\"]').click()").await;
     browser.until("document.getElementById('link')?.textContent === 'live'").await;
     browser.until("document.getElementById('stage').textContent === 'Two'").await;
+    // What was recorded there is fetched here, to the byte.
+    browser.click("tab-takes").await;
+    let link = "document.querySelector('#takes-remote a[download=\"of two.mcap\"]')";
+    browser.until(&format!("{link} !== null")).await;
+    let fetch = format!(
+        "fetch({link}.href).then((answer) => answer.arrayBuffer()).then(({{ byteLength }}) => (window.fetched = byteLength))"
+    );
+    browser.value(&fetch).await;
+    let bytes = folder.path().join("recordings/of two.mcap").metadata().unwrap().len();
+    browser.until(&format!("window.fetched === {bytes}")).await;
+    assert!(hub.get("/two/recordings/none.mcap").await.starts_with("HTTP/1.1 404"));
     assert_eq!(browser.complaints, Vec::<String>::new());
     drop(browser);
     assert_eq!(stage.end("INT").await.code(), Some(0));

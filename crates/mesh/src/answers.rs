@@ -27,6 +27,7 @@ use super::wire::{Begin, ClockReading, Keys};
 use posed_daemon::FusionInbox;
 use posed_daemon::StageClock;
 use posed_daemon::recordings;
+use posed_daemon::server::RemoteRecording;
 use posed_recording::Reader;
 use posed_stage::{Stage, without_secrets};
 
@@ -120,14 +121,9 @@ impl Answers {
     }
 
     fn list(&self) -> zenoh::Result<Vec<u8>> {
-        #[derive(Serialize)]
-        struct Entry {
-            bytes: u64,
-            name: String,
-        }
         let size = |name: &str| std::fs::metadata(self.recordings.join(name)).map_or(0, |file| file.len());
-        let entries =
-            recordings::list(&self.recordings)?.into_iter().map(|name| Entry { bytes: size(&name), name });
+        let entry = |name: String| RemoteRecording { bytes: size(&name), name };
+        let entries = recordings::list(&self.recordings)?.into_iter().map(entry);
         Ok(serde_json::to_vec(&entries.collect::<Vec<_>>())?)
     }
 

@@ -1,7 +1,9 @@
 // The recordings of the folder, and those in the bin.
 
+import { Refused } from "../link";
 import { link, model } from "../page.svelte";
 import type { LibraryTake } from "../protocol";
+import { type RemoteTake, remoteTakes } from "./where";
 
 /** Jobs that change what the folder has. */
 const KINDS = ["record.start", "library.digest"];
@@ -10,6 +12,8 @@ class Library {
   takes = $state.raw<LibraryTake[]>([]);
   bin = $state.raw<LibraryTake[]>([]);
   recording = $state<string | null>(null);
+  /** At a hub: what the stage has, which is watched there. Null on a stage's own page. */
+  remote = $state.raw<RemoteTake[] | null>(null);
   /** Asked once at least. */
   known = $state(false);
   private running = "";
@@ -29,7 +33,15 @@ class Library {
   }
 
   async refresh(): Promise<void> {
-    const { takes, recording } = await link.request({ type: "library.list" });
+    const listed = await link.request({ type: "library.list" }).catch((error: unknown) => {
+      if (error instanceof Refused && error.reason === "hub") return null;
+      throw error;
+    });
+    if (listed === null) {
+      this.remote = await remoteTakes();
+      return;
+    }
+    const { takes, recording } = listed;
     const bin = await link.request({ type: "library.list", bin: true });
     [this.takes, this.recording, this.bin, this.known] = [takes, recording, bin.takes, true];
   }

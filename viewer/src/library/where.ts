@@ -11,7 +11,18 @@ export const ROOT = isTake ? "../../" : "./";
 export const takePage = (name: string): string => `${ROOT}takes/${encodeURIComponent(name)}/`;
 
 /** A file that the daemon serves, with the token that it asks for. */
-export function fileAt(folder: "recordings" | "exports", name: string): string {
+export const fileAt = (folder: "recordings" | "exports", name: string): string => withToken(`${ROOT}${folder}/${encodeURIComponent(name)}`);
+
+function withToken(address: string): string {
   const token = tokenOf(location);
-  return `${ROOT}${folder}/${encodeURIComponent(name)}${token === null ? "" : `?token=${encodeURIComponent(token)}`}`;
+  return token === null ? address : `${address}?token=${encodeURIComponent(token)}`;
+}
+
+export type RemoteTake = { name: string; bytes: number };
+
+/** What the stage has whose page a hub shows. */
+export async function remoteTakes(): Promise<RemoteTake[]> {
+  const answer = await fetch(withToken(`${ROOT}recordings`));
+  if (!answer.ok) throw new Error(await answer.text());
+  return answer.json() as Promise<RemoteTake[]>;
 }

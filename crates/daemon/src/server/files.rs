@@ -146,7 +146,8 @@ fn pieces(
     })
 }
 
-fn sent(
+/// An answer with so many bytes of a file.
+pub(super) fn sent(
     name: &str,
     bytes: u64,
     pieces: impl stream::Stream<Item = io::Result<Bytes>> + Send + 'static,

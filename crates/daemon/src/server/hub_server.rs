@@ -24,6 +24,7 @@ use super::hub::Item;
 use super::listen::ConnectionContext;
 use super::listener::Listener;
 use super::metrics::Metrics;
+use super::remote_files::{Asked, RemoteRecordings};
 use super::{BindError, Command, Shared, StageInfo, StageServices, client, http, rfc3339, topics_of, viewer};
 use crate::ports::ended;
 use posed_protocol::{Counters, Encoding, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK, Stages, Stamp, Topic};
@@ -49,9 +50,16 @@ pub struct StageRegistry {
 
 struct Registered {
     context: Arc<ConnectionContext>,
-    stages: Mutex<BTreeMap<String, Arc<Shared>>>,
+    stages: Mutex<BTreeMap<String, Joined>>,
     directory: mpsc::Sender<directory::Command>,
     greeting: directory::Greeting,
+}
+
+/// A stage that has come in.
+#[derive(Clone)]
+struct Joined {
+    shared: Arc<Shared>,
+    recordings: Arc<dyn RemoteRecordings>,
 }
 
 /// Where one stage's items go in; clients are notified of the end when it is dropped.
@@ -122,6 +130,8 @@ impl HubServer {
             .route("/{stage}/health", get(stage_health))
             .route("/{stage}/metrics", get(stage_metrics))
             .route("/{stage}/ws", get(stage_websocket))
+            .route("/{stage}/recordings", get(stage_recordings))
+            .route("/{stage}/recordings/{name}", get(stage_recording))
             .with_state(registry);
         listener.serve(http::guarded(routes, context), shutdown).await;
         directory.abort();
@@ -132,7 +142,7 @@ impl StageRegistry {
     /// A stage comes in under the name `id`, in the place of who had that name before, whose clients stay with the old endpoint.
     ///
     /// `epoch_utc_ns`: UTC of the stage's epoch, in nanoseconds since 1970. `published`: topics beside those that its file shows.
-    /// `last_event_id`: number of its newest event. Clients here may look on and change nothing.
+    /// `last_event_id`: number of its newest event. `recordings`: how it is asked for those. Clients here may look on and change nothing.
     pub async fn join(
         &self,
         id: &str,
@@ -140,6 +150,7 @@ impl StageRegistry {
         epoch_utc_ns: i64,
         published: &[Topic],
         last_event_id: u64,
+        recordings: Arc<dyn RemoteRecordings>,
     ) -> StageEndpoint {
         let (shutdown, seen) = watch::channel(false);
         let context = self.registered.context.until(seen);
@@ -151,7 +162,8 @@ impl StageRegistry {
         let services = StageServices::new(stage, about, &Arc::new(context), Arc::new(Metrics::new()));
         let (items, fed) = mpsc::channel(WAITING);
         let commands = services.shared.commands.clone();
-        self.stages().insert(id.to_owned(), Arc::clone(&services.shared));
+        let joined = Joined { shared: Arc::clone(&services.shared), recordings };
+        self.stages().insert(id.to_owned(), joined);
         tokio::spawn(distribute(services, fed, shutdown.subscribe()));
         let _ = self.registered.directory.send(directory::Command::Joined { id: id.into(), commands }).await;
         StageEndpoint { items, shutdown }
@@ -169,10 +181,14 @@ impl StageRegistry {
     }
 
     fn stage(&self, id: &str) -> Option<Arc<Shared>> {
-        self.stages().get(id).map(Arc::clone)
+        Some(self.joined(id)?.shared)
     }
 
-    fn stages(&self) -> MutexGuard<'_, BTreeMap<String, Arc<Shared>>> {
+    fn joined(&self, id: &str) -> Option<Joined> {
+        self.stages().get(id).cloned()
+    }
+
+    fn stages(&self) -> MutexGuard<'_, BTreeMap<String, Joined>> {
         // Every change is complete before anything in it could panic.
         self.registered.stages.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -307,6 +323,30 @@ async fn stage_health(State(registry): State<StageRegistry>, PathOf(id): PathOf<
         Some(shared) => http::health(State(shared)).await.into_response(),
         None => unknown(),
     }
+}
+
+async fn stage_recordings(
+    State(registry): State<StageRegistry>,
+    PathOf(id): PathOf<String>,
+    slot: http::SlotOf,
+    headers: HeaderMap,
+    uri: Uri,
+) -> Response {
+    let Some(Joined { shared, recordings }) = registry.joined(&id) else { return unknown() };
+    let slot = slot.ok().map(|Extension(slot)| slot);
+    Asked { context: &shared.context, slot, headers: &headers, uri: &uri }.list(recordings).await
+}
+
+async fn stage_recording(
+    State(registry): State<StageRegistry>,
+    PathOf((id, name)): PathOf<(String, String)>,
+    slot: http::SlotOf,
+    headers: HeaderMap,
+    uri: Uri,
+) -> Response {
+    let Some(Joined { shared, recordings }) = registry.joined(&id) else { return unknown() };
+    let slot = slot.ok().map(|Extension(slot)| slot);
+    Asked { context: &shared.context, slot, headers: &headers, uri: &uri }.file(recordings, &name).await
 }
 
 fn unknown() -> Response {

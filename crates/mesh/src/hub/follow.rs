@@ -3,6 +3,7 @@
 //! In: its feed, what it answers, whether zenoh sees its token. Out: the same items, in the hub server, events complete and in their
 //! order; what is said of it on the board. Never: a wait for an answer while frames come.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::sync::{mpsc, watch};
@@ -389,7 +390,15 @@ impl Work {
         let stage = Stage::parse(&joined.stage_toml).map_err(|problems| {
             format!("the stage file of its posed {} does not fit this version: {problems}", joined.version)
         })?;
-        let end = registry.join(id, &stage, joined.run, &joined.topics, joined.last_event_id).await;
+        let end = registry.join(
+            id,
+            &stage,
+            joined.run,
+            &joined.topics,
+            joined.last_event_id,
+            Arc::new(self.questions.recordings()),
+        );
+        let end = end.await;
         let (fuser, until) = match begin {
             None => (None, u64::MAX),
             Some(begin) => {

@@ -9,12 +9,16 @@ use zenoh::Session;
 
 use crate::wire::{Begin, ClockReading, Joined, Keys, LogChunk};
 use posed_daemon::StageClock;
+use posed_daemon::server::{Answered, RemoteRecording, RemoteRecordings};
 use posed_protocol::unpack;
 
 /// Longest wait for an answer. A question that was lost with a link is asked again.
 const PATIENCE: Duration = Duration::from_secs(2);
 /// A clock is read over a quick round trip or not at all.
 const CLOCK_PATIENCE: Duration = Duration::from_millis(500);
+
+/// The same for a file: its disk may be slow.
+const FILE_PATIENCE: Duration = Duration::from_secs(10);
 
 /// An answer, or why there is none.
 pub(super) enum Answer {
@@ -78,17 +82,64 @@ impl Questions {
         });
     }
 
+    /// Its recordings.
+    pub(super) fn recordings(&self) -> Recordings {
+        Recordings { session: self.session.clone(), key: self.keys.recordings() }
+    }
+
     async fn ask<T: DeserializeOwned>(&self, selector: &str) -> zenoh::Result<T> {
         self.ask_within(selector, PATIENCE).await
     }
 
     async fn ask_within<T: DeserializeOwned>(&self, selector: &str, patience: Duration) -> zenoh::Result<T> {
-        let replies = self.session.get(selector).timeout(patience).await?;
-        let reply = replies.recv_async().await.map_err(|_| format!("{selector} was not answered"))?;
-        match reply.into_result() {
-            Ok(sample) => unpack(&sample.payload().to_bytes())
-                .map_err(|error| format!("{selector}: the answer cannot be read: {error}").into()),
-            Err(error) => Err(String::from_utf8_lossy(&error.payload().to_bytes()).into()),
+        let answer = asked(&self.session, selector, patience).await?;
+        unpack(&answer).map_err(|error| format!("{selector}: the answer cannot be read: {error}").into())
+    }
+}
+
+/// What is answered under a key.
+async fn asked(session: &Session, selector: &str, patience: Duration) -> zenoh::Result<Vec<u8>> {
+    let replies = session.get(selector).timeout(patience).await?;
+    let reply = replies.recv_async().await.map_err(|_| format!("{selector} was not answered"))?;
+    match reply.into_result() {
+        Ok(sample) => Ok(sample.payload().to_bytes().into_owned()),
+        Err(error) => Err(String::from_utf8_lossy(&error.payload().to_bytes()).into()),
+    }
+}
+
+/// Asks one stage for its recordings.
+pub(super) struct Recordings {
+    session: Session,
+    key: String,
+}
+
+impl Recordings {
+    fn asked<T>(
+        &self,
+        selector: String,
+        read: impl FnOnce(Vec<u8>) -> Result<T, String> + Send + 'static,
+    ) -> Answered<T> {
+        let session = self.session.clone();
+        Box::pin(async move {
+            let answer = asked(&session, &selector, FILE_PATIENCE).await;
+            read(answer.map_err(|error| error.to_string())?)
+        })
+    }
+}
+
+impl RemoteRecordings for Recordings {
+    fn list(&self) -> Answered<Vec<RemoteRecording>> {
+        self.asked(self.key.clone(), |json| {
+            serde_json::from_slice(&json).map_err(|error| format!("the stage's list cannot be read: {error}"))
+        })
+    }
+
+    fn piece(&self, name: &str, offset: u64) -> Answered<Vec<u8>> {
+        // What zenoh reads as something else than a name.
+        if name.contains(['*', '$', '?', '#', '/']) {
+            let sentence = format!("{name:?} has a character that no key may have: rename it at the stage");
+            return Box::pin(async { Err(sentence) });
         }
+        self.asked(format!("{}/{name}?offset={offset}", self.key), Ok)
     }
 }
