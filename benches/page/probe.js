@@ -15,9 +15,14 @@ window.probe = (() => {
   let pressed_ms = null;
   let wished_s = null;
   let asked = new Set();
-  let has_looked = false;
+  let answered_ms = null;
   let looked_ms = null;
   let arrived_ms = null;
+  /** Answers to looks. */
+  let looks = 0;
+  /** Whether a pose has come, and when the frame after it was over. */
+  let has_posed = false;
+  let first_ms = null;
 
   /** Whether the body is no longer where the first message of it had it: by a quarter of a degree. */
   const moves = (data) => {
@@ -39,15 +44,18 @@ window.probe = (() => {
     costs_ms.push(sum_ms);
     if (costs_ms.length > 100000) costs_ms.shift();
     sum_ms = 0;
-    if (has_looked) looked_ms ??= performance.now() - pressed_ms;
+    if (answered_ms !== null) looked_ms ??= performance.now() - pressed_ms;
+    if (has_posed) first_ms ??= performance.now();
     if (has_moved) moved_ms ??= performance.now();
     if (shown_ms !== null && newest_ms > shown_ms && current_ms === null) current_ms = performance.now() - shown_ms;
   });
 
   const jump = (data) => {
-    if (pressed_ms === null || typeof data !== "string") return;
+    if (typeof data !== "string") return;
+    has_posed ||= data.includes('"type":"sensors"');
+    if (pressed_ms === null) return;
     const message = JSON.parse(data);
-    if (message.type === "ok" && asked.has(message.id)) has_looked = true;
+    if (message.type === "ok" && asked.has(message.id)) looks++, answered_ms ??= performance.now() - pressed_ms;
     // Frames of before are on their way still.
     if (message.type === "sensors" && wished_s !== null && Math.abs(message.t_s - wished_s) < 0.5) arrived_ms ??= performance.now() - pressed_ms;
   };
@@ -85,8 +93,11 @@ window.probe = (() => {
     begin() {
       costs_ms.length = 0;
       sum_ms = 0;
-      messages = 0;
+      messages = looks = 0;
     },
+    looks: () => looks,
+    /** From the opening to the end of the first frame with a pose. */
+    first_ms: () => first_ms,
     reported() {
       const sorted = costs_ms.toSorted((a, b) => a - b);
       const at = (part) => sorted[Math.min(sorted.length - 1, Math.floor(part * sorted.length))] ?? 0;
@@ -95,11 +106,12 @@ window.probe = (() => {
     messages: () => messages,
     /** Waits for a press from now on. */
     jumps() {
-      pressed_ms = wished_s = looked_ms = arrived_ms = null;
-      has_looked = false;
+      pressed_ms = wished_s = answered_ms = looked_ms = arrived_ms = null;
       asked = new Set();
     },
     jumped_ms: () => performance.now() - (pressed_ms ?? Infinity),
+    /** From the press to the daemon's answer. */
+    answered_ms: () => answered_ms,
     /** From the press to the end of the frame that draws what was asked for. */
     looked_ms: () => looked_ms,
     /** From the press to the first frames of the replay from there. */
