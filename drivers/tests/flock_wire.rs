@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test helper may panic")]
 
+use posed_drivers::flock::Family;
 use posed_drivers::flock::wire::{
     Addressed, Addressing, BirdStatus, Command, CommandParser, Format, Hemisphere, QuaternionSense, Range,
     RecordError, Refused, ReportRate, Scale, Shape, Tolerance, UnitStatus, record, rotation, value,
@@ -227,6 +228,40 @@ fn measurement_rates() {
     assert_eq!(value::count_of_rate(103.3, 0), 5863);
     assert!((value::rate_of_count_hz(5863, 20) - 103.3).abs() < 0.01);
     assert!((value::rate_hz(value::rate_word(103.3)) - 103.3).abs() < 1.0 / 256.0);
+}
+
+/// Those of the 3D Guidance sheet: words as a Flock's, behind a prefix for each sensor; the scaling is written as one byte.
+#[test]
+fn examples_of_3d_guidance_units() {
+    let angles = shape(Format::PositionAngles, false, false);
+    let (p, angles, _) = decode("E4 11 0E 77 39 04 55 0A 55 7A 00 20", angles, Range::In36);
+    close(p.unwrap(), [10.002, -5.001, 2.5], 1e-3);
+    close(angles.unwrap(), [29.993, -15.007, 90.0], 1e-3);
+    let quaternion = shape(Format::PositionQuaternion, false, false);
+    let (p, _, record) = decode("F2 08 47 7B 1C 02 00 20 00 20 00 60 00 20", quaternion, Range::In72);
+    // A step of a word is 72 / 8192 inches.
+    close(p.unwrap(), [10.002, -5.010, 2.496], 9.5e-3);
+    // The vendor's sense is conjugated.
+    close(record.orientation_wxyz.unwrap(), [0.5, -0.5, 0.5, -0.5], 1e-9);
+    let change = |parameter, data: &[u8]| Command::Change { parameter, data: data.to_vec() };
+    let rate = |hz| change(0x07, &value::rate_word(hz).to_le_bytes());
+    let commands = [
+        (Some(1), Command::Point, "F1 42"),
+        (None, change(0x32, &[1]), "50 32 01"),
+        (None, Command::Examine(0x03), "4F 03"),
+        (None, rate(80.0), "50 07 00 50"),
+        (None, rate(68.3), "50 07 4C 44"),
+        (Some(3), Command::Examine(0x1A), "F3 4F 1A"),
+        (Some(1), Command::Hemisphere(Hemisphere::Aft.bytes()), "F1 4C 00 01"),
+        (None, change(0x03, &[1]), "50 03 01"),
+    ];
+    for (to, command, bytes) in commands {
+        assert_eq!(command.to_bytes(to, Addressing::Normal), hex(bytes));
+        let mut parser = CommandParser::default();
+        parser.family = Family::Guidance;
+        let parsed: Vec<_> = hex(bytes).into_iter().filter_map(|byte| parser.push(byte)).collect();
+        assert_eq!(parsed, [Ok(Addressed { to, command })], "{bytes}");
+    }
 }
 
 #[test]

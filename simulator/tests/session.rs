@@ -1,6 +1,6 @@
 //! The real driver on the virtual Flock, in simulated time: set-up, streams, faults, return.
 
-use posed_drivers::flock::{FlockSession, Settings, wire::Format};
+use posed_drivers::flock::{Family, FlockSession, Probe, Settings, wire::Format, wire::Range};
 use posed_drivers::session::Output as Said;
 use posed_drivers::{LineEvent, Measurement, Sample, Session, State, Timestamp};
 use posed_simulator::faults::{Bytes, Fault};
@@ -24,6 +24,11 @@ struct Pair {
 
 impl Pair {
     fn new(addresses: &[u16], format: Format, device: DeviceScenario) -> Self {
+        Self::with(addresses, Family::Flock, Settings { format, ..Settings::default() }, device)
+    }
+
+    /// What is there, and what the driver is set to.
+    fn with(addresses: &[u16], family: Family, settings: Settings, device: DeviceScenario) -> Self {
         let sensor =
             |&address: &u16| SensorSpec { name: format!("s{address}"), device: "flock".into(), address };
         let spec = StageSpec {
@@ -32,6 +37,7 @@ impl Pair {
                 name: "flock".into(),
                 driver: "flock-of-birds".into(),
                 baud: 115_200,
+                family,
                 measurement_delay_ms: 1.0,
                 ..DeviceSpec::default()
             }],
@@ -39,7 +45,6 @@ impl Pair {
         };
         let device = DeviceScenario { name: "flock".into(), ..device };
         let scenario = Scenario { devices: vec![device], ..Scenario::default() };
-        let settings = Settings { format, ..Settings::default() };
         let mut pair = Self {
             stage: VirtualStage::new(&spec, &scenario, ".".as_ref()).expect("a scenario"),
             session: FlockSession::new(settings, 115_200, addresses).expect("settings"),
@@ -205,4 +210,109 @@ fn a_dead_bird_does_not_stop_the_other() {
     assert!(count(1, 6.0, 8.0) > 150, "{}", count(1, 6.0, 8.0));
     assert_eq!(count(2, 6.02, 8.0), 0);
     assert!(count(2, 12.0, 14.0) > 190, "{}", count(2, 12.0, 14.0));
+}
+
+/// A 3D Guidance unit with sensors at some of its inputs, and a driver for those that are `wanted`.
+fn guidance(plugged: &[u16], wanted: &[u16], settings: Settings, faults: Vec<Fault>) -> Pair {
+    let settings = Settings { family: Family::Guidance, ..settings };
+    let mut pair = Pair::with(plugged, Family::Guidance, settings.clone(), at_100_hz(faults));
+    pair.session = FlockSession::new(settings, 115_200, wanted).expect("settings");
+    pair.session.handle_line(Timestamp::ZERO, &LineEvent::Opened { modem_lines: true });
+    pair.listen(Timestamp::ZERO);
+    pair
+}
+
+#[test]
+fn a_3d_guidance_unit_streams_in_every_format_that_it_is_known_to_have() {
+    for format in [Format::PositionAngles, Format::PositionMatrix, Format::PositionQuaternion] {
+        for mode in [posed_drivers::flock::Mode::Stream, posed_drivers::flock::Mode::Point] {
+            let settings = Settings { format, mode, range_in: Some(Range::In72), ..Settings::default() };
+            let mut pair = guidance(&[1, 3], &[1, 3], settings, Vec::new());
+            // The order of its sensors in the truth is that of the stage.
+            pair.run_until(seconds(6.0));
+            assert_eq!(pair.session.state(), &State::Streaming, "{format} {mode:?} {:?}", pair.warnings);
+            let serials: Vec<_> =
+                pair.session.sensors().iter().map(|s| (s.address, s.serial.clone())).collect();
+            assert_eq!(serials, [(1, Some("6001".to_owned())), (3, Some("6003".to_owned()))]);
+            pair.samples.iter_mut().for_each(|(_, sample)| sample.address = sample.address.div_ceil(2));
+            assert!(pair.samples.len() > 200, "{format} {mode:?}: {}", pair.samples.len());
+            assert_eq!(pair.wrong(6e-3, 0.01), 0, "{format} {mode:?}");
+            assert_eq!(pair.warnings, [""; 0]);
+        }
+    }
+}
+
+#[test]
+fn a_sensor_pulled_from_a_3d_guidance_unit_repeats_and_its_neighbour_goes_on() {
+    let pulled = Fault::BirdDies { address: 2, at_s: 6.0, duration_s: Some(2.0) };
+    let mut pair = guidance(&[1, 2], &[1, 2, 4], Settings::default(), vec![pulled]);
+    pair.run_until(seconds(10.0));
+    assert!(
+        pair.warnings[0].starts_with("bird 4 is not on the bus, or has no sensor"),
+        "{:?}",
+        pair.warnings
+    );
+    let between = |address: u16, from_s: f64, to_s: f64| {
+        let within = |t: &Timestamp| (seconds(from_s)..seconds(to_s)).contains(t);
+        let records = pair.samples.iter().filter(move |(t, sample)| sample.address == address && within(t));
+        records.map(|(_, sample)| sample.measurement.clone()).collect::<Vec<_>>()
+    };
+    let repeats = |records: &[Measurement]| records.windows(2).filter(|two| two[0] == two[1]).count();
+    let (first, second) = (between(1, 6.1, 7.9), between(2, 6.1, 7.9));
+    assert!(first.len() > 170 && repeats(&first) < 10, "{} of {}", repeats(&first), first.len());
+    assert_eq!(repeats(&second), second.len() - 1);
+    assert!(repeats(&between(2, 8.1, 10.0)) < 10);
+}
+
+#[test]
+fn damage_makes_no_wrong_pose_of_a_3d_guidance_unit() {
+    let span = Bytes { count: 50, start_s: 5.0, end_s: 15.0 };
+    for fault in [Fault::LostBytes(span), Fault::InsertedBytes(span), Fault::Bit7Flips(span)] {
+        let mut pair = guidance(&[1, 2], &[1, 2], Settings::default(), vec![fault.clone()]);
+        pair.run_until(seconds(16.0));
+        assert!(pair.samples.len() > 1900, "{}: {}", fault.name(), pair.samples.len());
+        assert_eq!(pair.wrong(3e-3, 0.01), 0, "{}", fault.name());
+    }
+}
+
+#[test]
+fn the_family_that_is_not_there_is_named() {
+    let settings = Settings { family: Family::Guidance, ..Settings::default() };
+    for (there, settings, advice) in [
+        (Family::Guidance, Settings::default(), "of a trakSTAR or driveBAY set family = \"3d-guidance\""),
+        (Family::Flock, settings, "the unit calls itself 6DFOB: a Flock"),
+    ] {
+        let mut pair = Pair::with(&[1, 2], there, settings, at_100_hz(Vec::new()));
+        pair.run_until(seconds(6.0));
+        let State::Failed { reason } = pair.session.state() else { panic!("{:?}", pair.session.state()) };
+        assert!(reason.contains(advice), "{reason}");
+    }
+}
+
+#[test]
+fn a_probe_tells_a_3d_guidance_unit_from_a_flock() {
+    for (family, sensors) in [(Family::Guidance, vec![1, 2]), (Family::Flock, vec![1, 2])] {
+        let settings = Settings { family, ..Settings::default() };
+        let mut pair = Pair::with(&[1, 2], family, settings, at_100_hz(Vec::new()));
+        pair.session.handle_line(Timestamp::ZERO, &LineEvent::Closed { reason: String::new() });
+        pair.run_until(seconds(2.0));
+        let mut now = seconds(2.0);
+        let mut probe = Probe::without_reset(now);
+        while probe.result().is_none() {
+            while let Some(Said::Transmit(bytes)) = probe.poll_output() {
+                pair.stage.write(0, now, &bytes);
+            }
+            now = probe.poll_timeout().into_iter().chain(pair.stage.poll_timeout()).min().expect("not done");
+            pair.stage.step(now);
+            while let Some(event) = pair.stage.poll_event() {
+                if let Output::Data(bytes) = event.output {
+                    probe.handle_bytes(event.t, &bytes);
+                }
+            }
+            probe.handle_timeout(now);
+        }
+        let findings = probe.result().expect("done").expect("a unit");
+        assert_eq!((findings.family, findings.sensors()), (family, sensors));
+        assert!(now < seconds(4.0), "{now:?}");
+    }
 }

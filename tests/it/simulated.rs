@@ -213,13 +213,16 @@ fn doctor_lists_the_trackers_of_a_vrpn_server_and_writes_a_stage_for_them() {
 }
 
 #[test]
-fn doctor_finds_a_liberty_and_a_witmotion_sensor_and_writes_stages_for_them() {
+fn doctor_finds_a_liberty_a_witmotion_sensor_and_a_3d_guidance_unit_and_writes_stages_for_them() {
     let folder = tempfile::tempdir().unwrap();
-    for (driver, addresses) in [("polhemus", &[1, 3][..]), ("witmotion", &[0])] {
+    let guidance = "family = \"3d-guidance\"\n";
+    for (driver, settings, addresses) in
+        [("polhemus", "", &[1, 3][..]), ("witmotion", "", &[0]), ("flock-of-birds", guidance, &[1, 3])]
+    {
         let (path, written) =
             (folder.path().join("stage.toml"), folder.path().join(format!("{driver}.toml")));
         let mut text = format!(
-            "name = \"test\"\n[[device]]\nname = \"d\"\ndriver = \"{driver}\"\nport = \"/dev/none\"\n"
+            "name = \"test\"\n[[device]]\nname = \"d\"\ndriver = \"{driver}\"\nport = \"/dev/none\"\n{settings}"
         );
         for address in addresses {
             text += &format!("[[sensor]]\nname = \"s{address}\"\ndevice = \"d\"\naddress = {address}\n");
@@ -245,6 +248,7 @@ fn doctor_finds_a_liberty_and_a_witmotion_sensor_and_writes_stages_for_them() {
         assert_eq!(found["sensors"], serde_json::json!(sensors));
         let stage = Stage::load(&written).unwrap();
         assert_eq!((stage.devices[0].driver.word(), stage.sensors.len()), (driver, addresses.len()));
+        assert_eq!(fs::read_to_string(&written).unwrap().contains(guidance), !settings.is_empty());
         assert_eq!(simulation.interrupt().code(), Some(0));
     }
 }

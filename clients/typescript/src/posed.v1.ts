@@ -822,6 +822,9 @@ export type FaultCause = "hemisphere_inversion" | "vertical_inversion" | "stuck"
 /** What a measurement, or a frame, is. */
 export type FaultClass = "clean" | "inverted" | "anomalous" | "unknown";
 
+/** A family of units that share commands, words and error codes. */
+export type Family = "flock" | "3d-guidance";
+
 /** What every data message starts with, and its body. */
 export type FaultMessage = ({
   /** Whether it began or ended. */
@@ -1061,6 +1064,8 @@ export type FoundPort = {
   local_port?: number | null;
   /** Model as the unit writes it. */
   model: string | null;
+  /** Which of Ascension's units it is, where it is no Flock of Birds. */
+  family?: Family | null;
   /** The port as a stage file names it. */
   port: string;
   /** What is wrong. */

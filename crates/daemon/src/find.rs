@@ -12,9 +12,9 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
 use posed_drivers::datagram::datagrams;
-use posed_drivers::flock::Findings;
 use posed_drivers::flock::examine::Failure;
 use posed_drivers::flock::wire::Addressing;
+use posed_drivers::flock::{Family, Findings};
 use posed_drivers::port::{self, Options, Port, PortError, Stream, Udp};
 use posed_drivers::probe::{Identity, Inquiry, NoAnswer};
 use posed_drivers::session::SensorInfo;
@@ -115,6 +115,8 @@ pub struct Answer {
     pub identity: Identity,
     /// How units on a Flock's bus are numbered; absent for all other kinds.
     pub addressing: Option<Addressing>,
+    /// Which of Ascension's units a Flock is; absent for all other kinds.
+    pub family: Option<Family>,
 }
 
 /// Asks an open port for one kind of device; `reset` lets a Flock out of its reset first, where the port has an RTS line.
@@ -205,7 +207,7 @@ impl Probe {
         match self {
             Self::Flock(probe) => probe.result().map(|result| result.map(of_flock)),
             Self::Other(inquiry) => inquiry.result().map(|result| match result {
-                Ok(identity) => Ok(Answer { identity: identity.clone(), addressing: None }),
+                Ok(identity) => Ok(Answer { identity: identity.clone(), addressing: None, family: None }),
                 Err(NoAnswer::Silent) => Err(Failure::Silent),
                 Err(NoAnswer::Unintelligible) => Err(Failure::Unintelligible),
             }),
@@ -235,6 +237,7 @@ fn of_flock(findings: &Findings) -> Answer {
             problem,
         },
         addressing: Some(findings.addressing),
+        family: Some(findings.family),
     }
 }
 
@@ -308,7 +311,9 @@ pub async fn search(
         let opened = tokio::time::timeout(OPEN_TIMEOUT, port::open(&name, options(device))).await;
         let Ok(Ok(mut line)) = opened else { continue };
         let Ok(Ok(answer)) = ask(&mut line, kind, true).await else { continue };
-        if is_meant(&answer.identity, serials) {
+        let family =
+            if let Driver::FlockOfBirds(settings) = &device.driver { Some(settings.family) } else { None };
+        if answer.family == family && is_meant(&answer.identity, serials) {
             return Ok((name, line));
         }
         others += 1;

@@ -10,6 +10,7 @@ use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
 use super::asker::{Asker, Expired};
+use super::family::{Family, INPUTS};
 use super::wire::value::{self, parameter};
 use super::wire::{Addressing, BirdStatus, Command, UnitStatus};
 use crate::rate::ImpossibleRate;
@@ -25,8 +26,6 @@ const STOP_LIMIT: Duration = Duration::from_millis(600);
 const DISPUTES: u8 = 4;
 /// Tries to stop a stream.
 const STOP_TRIES: u8 = 3;
-/// Measurement rate that a unit which does not tell its own is taken to have, Hz: the nominal one after power-up.
-pub const POWER_UP_RATE_HZ: f64 = 103.3;
 
 /// One unit of a flock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Plain)]
@@ -47,6 +46,8 @@ impl Unit {
 /// What an examination found: the unit's own answers, which carry no checksum. What it did not answer has a default.
 #[derive(Clone, Debug, PartialEq, Plain)]
 pub struct Findings {
+    /// As the caller has fixed it, else as the model and the answers about sensors show.
+    pub family: Family,
     /// Software revision: integer part, fraction in hundredths ((3, 67) is 3.67).
     pub revision: (u8, u8),
     /// Status of the unit on the line.
@@ -55,16 +56,18 @@ pub struct Findings {
     pub model: String,
     /// How units are numbered: as the caller has fixed it, else as the unit reports it, else normal.
     pub addressing: Addressing,
-    /// Units that are accessible on the bus, by rising address; empty for a stand-alone unit.
+    /// Units that are accessible on the bus, by rising address; empty for a stand-alone unit. Of a 3D Guidance unit the inputs with a
+    /// sensor.
     pub units: Vec<Unit>,
-    /// Measurement rate that the unit is set to, Hz, 10 to 200; [`POWER_UP_RATE_HZ`] where it does not tell, or tells another.
+    /// Measurement rate that the unit is set to, Hz, one of [`Family::rates_hz`]; [`Family::power_up_rate_hz`] where it does not
+    /// report it, or reports another.
     pub rate_hz: f64,
 }
 
 impl Findings {
     /// Whether the unit is alone, and so without address.
     pub fn stand_alone(&self) -> bool {
-        self.units.is_empty()
+        self.family == Family::Flock && self.units.is_empty()
     }
 
     /// Whether positions have the full scale of an extended range transmitter.
@@ -132,6 +135,8 @@ enum Step {
     Status,
     Addressing,
     Model,
+    /// Whether a 3D Guidance unit has a sensor at this input.
+    Input(u8),
     Topology,
     Rate,
 }
@@ -149,6 +154,7 @@ pub struct Examination {
     received: bool,
     findings: Findings,
     fixed_addressing: bool,
+    fixed_family: bool,
     tries: u8,
     /// The latest answer about the flock, but for who runs: none has a checksum, so that two in a row must agree.
     topology: Option<Vec<u8>>,
@@ -162,8 +168,10 @@ pub struct Examination {
 
 impl Examination {
     /// Begins: stops a stream, then asks for revision and status, `tries` times each (at least once), and for the rest twice
-    /// each. `addressing` fixes how units are numbered; `None`: as the unit reports it.
-    pub fn new(now: Timestamp, addressing: Option<Addressing>, tries: u8) -> Self {
+    /// each. `family` and `addressing` fix what it is and how units are numbered; `None`: as the unit reports it.
+    pub fn new(now: Timestamp, family: Option<Family>, addressing: Option<Addressing>, tries: u8) -> Self {
+        let fixed_family = family.is_some();
+        let family = family.unwrap_or_default();
         Self {
             step: Step::Stop,
             quiet_at: now + FIRST_QUIET,
@@ -172,14 +180,16 @@ impl Examination {
             asker: None,
             received: false,
             findings: Findings {
+                family,
                 revision: (0, 0),
                 status: BirdStatus(0),
                 model: String::new(),
                 addressing: addressing.unwrap_or_default(),
                 units: Vec::new(),
-                rate_hz: POWER_UP_RATE_HZ,
+                rate_hz: family.power_up_rate_hz(),
             },
             fixed_addressing: addressing.is_some(),
+            fixed_family,
             tries,
             topology: None,
             disputes_left: DISPUTES,
@@ -244,6 +254,8 @@ impl Examination {
                 Step::Revision | Step::Status | Step::Stop => {
                     Progress::Failed(if self.received { Failure::Unintelligible } else { Failure::Silent })
                 }
+                // No inputs: a Flock of a model that nobody has listed.
+                Step::Input(_) if self.findings.family == Family::Flock => self.ask(now, Step::Topology),
                 Step::Topology if self.topology.is_some() => Progress::Failed(Failure::Unintelligible),
                 // Firmware without this parameter gives no answer; the defaults stand.
                 _ => self.next_step(now),
@@ -253,7 +265,7 @@ impl Examination {
 
     fn stopping(&mut self, now: Timestamp) -> Progress {
         if now >= self.quiet_at {
-            return self.ask(now, Step::Revision);
+            return self.next_step(now);
         }
         if now < self.stop_limit {
             return Progress::Busy;
@@ -276,11 +288,13 @@ impl Examination {
             Step::Status => parameter::BIRD_STATUS,
             Step::Addressing => parameter::FBB_ADDRESSING_MODE,
             Step::Model => parameter::MODEL_ID,
+            Step::Input(_) => parameter::SENSOR_SERIAL,
             Step::Topology => parameter::FLOCK_SYSTEM_STATUS,
             Step::Rate => parameter::MEASUREMENT_RATE,
         };
         let tries = if matches!(step, Step::Revision | Step::Status) { self.tries } else { 2 };
-        let asker = Asker::new(now, &Command::Examine(number), None, self.findings.addressing, tries);
+        let to = if let Step::Input(address) = step { Some(address) } else { None };
+        let asker = Asker::new(now, &Command::Examine(number), to, self.findings.addressing, tries);
         self.transmits.push_back(asker.question());
         self.asker = Some(asker);
         self.step = step;
@@ -313,6 +327,16 @@ impl Examination {
                 }
                 found.model = model;
             }
+            (Step::Input(address), &[low, high]) => {
+                if std::mem::replace(&mut found.family, Family::Guidance) == Family::Flock {
+                    found.rate_hz = Family::Guidance.power_up_rate_hz();
+                }
+                // Without a sensor the number is 0.
+                if [low, high] != [0, 0] {
+                    let status = UnitStatus::ACCESSIBLE | UnitStatus::RUNNING | UnitStatus::SENSOR;
+                    found.units.push(Unit { address, status: UnitStatus(status) });
+                }
+            }
             (Step::Topology, bytes) => {
                 found.units = units(bytes);
                 let answer = Some(bytes.iter().map(|status| status & !UnitStatus::RUNNING).collect());
@@ -325,7 +349,7 @@ impl Examination {
                     return self.ask(now, Step::Topology);
                 }
             }
-            (Step::Rate, &[low, high]) => match value::claimed_rate([low, high]) {
+            (Step::Rate, &[low, high]) => match value::claimed_rate([low, high], found.family) {
                 Ok(rate) => found.rate_hz = rate.hz(),
                 Err(refused) => self.warnings.push(not_believed(&refused, found.rate_hz)),
             },
@@ -336,12 +360,22 @@ impl Examination {
 
     fn next_step(&mut self, now: Timestamp) -> Progress {
         let revision = self.findings.revision;
+        let guidance = self.findings.family == Family::Guidance;
         match self.step {
+            // Nobody has shown that such a unit reports a revision as a Flock does.
+            Step::Stop if guidance => self.ask(now, Step::Status),
             Step::Stop => self.ask(now, Step::Revision),
             Step::Revision => self.ask(now, Step::Status),
-            Step::Status if revision >= (3, 67) => self.ask(now, Step::Addressing),
+            Step::Status if revision >= (3, 67) && !guidance => self.ask(now, Step::Addressing),
             Step::Status | Step::Addressing => self.ask(now, Step::Model),
+            Step::Model
+                if guidance || !self.fixed_family && Family::may_be_guidance(&self.findings.model) =>
+            {
+                self.ask(now, Step::Input(*INPUTS.start()))
+            }
             Step::Model => self.ask(now, Step::Topology),
+            Step::Input(address) if address < *INPUTS.end() => self.ask(now, Step::Input(address + 1)),
+            Step::Input(_) => self.ask(now, Step::Rate),
             // Before revision 3 this number gave 36 other bytes.
             Step::Topology if revision.0 >= 3 => self.ask(now, Step::Rate),
             Step::Topology | Step::Rate => {

@@ -1,4 +1,5 @@
-//! Ascension Flock of Birds over RS-232.
+//! Ascension Flock of Birds over RS-232, and 3D Guidance units (trakSTAR, driveBAY) as far as they are known to speak like one
+//! ([`family`]); their USB port is not served.
 //!
 //! ```text
 //! bytes ─> Session: Examination (what is there?) ─> plan (make it so) ─> Splitter ─> Sample
@@ -10,6 +11,7 @@
 mod asker;
 pub mod capture;
 pub mod examine;
+pub mod family;
 pub mod parser;
 mod plan;
 pub mod probe;
@@ -18,6 +20,7 @@ pub mod settings;
 pub mod wire;
 
 pub use examine::{Findings, Unit};
+pub use family::Family;
 pub use probe::Probe;
 pub use session::FlockSession;
 pub use settings::{Filters, Mode, Settings, SettingsError};

@@ -7,6 +7,7 @@ use std::collections::VecDeque;
 use posed_state::Plain;
 
 use super::examine::{Findings, Unit};
+use super::family::Family;
 use super::settings::{Mode, Settings};
 use super::wire::value::{self, parameter};
 use super::wire::{BirdStatus, Command, Range, Scale, Shape, UnitStatus};
@@ -14,6 +15,8 @@ use super::wire::{BirdStatus, Command, Range, Scale, Shape, UnitStatus};
 /// Quiet time on either side of auto-configuration, as the maker's guide says. Others wait twice as long; here
 /// a question answered, with the birds running, shows that the unit is done.
 const AUTO_CONFIG_QUIET_MS: u64 = 300;
+/// Quiet time after the auto-configuration of a 3D Guidance unit.
+const GUIDANCE_QUIET_MS: u64 = 600;
 /// First revision that tells the serial numbers of sensors.
 const SENSOR_SERIAL_SINCE: (u8, u8) = (3, 71);
 /// Gap after a command that sets something.
@@ -65,6 +68,10 @@ pub(super) fn plan(settings: &Settings, wanted: &[u8], findings: &Findings) -> R
     let mut plan = Plan { actions: VecDeque::new(), warnings: Vec::new() };
     let group = wanted != [0];
     check_fit(settings, wanted, findings, group, &mut plan.warnings)?;
+    if settings.family == Family::Guidance {
+        plan.actions = guidance(settings, wanted, findings);
+        return Ok(plan);
+    }
     let wanted_units: Vec<Unit> =
         findings.units.iter().copied().filter(|unit| wanted.contains(&unit.address)).collect();
     let running = |unit: &Unit| unit.status.has(UnitStatus::ACCESSIBLE | UnitStatus::RUNNING);
@@ -121,6 +128,34 @@ pub(super) fn plan(settings: &Settings, wanted: &[u8], findings: &Findings) -> R
     Ok(plan)
 }
 
+/// The least that published drivers of 3D Guidance units send, and group mode, which gives each record its address.
+fn guidance(settings: &Settings, wanted: &[u8], findings: &Findings) -> VecDeque<Action> {
+    let mut actions = VecDeque::new();
+    let mut send = |command: Command, to: Option<u8>, quiet_ms| {
+        actions.push_back(Action::Send { bytes: command.to_bytes(to, findings.addressing), quiet_ms });
+    };
+    let change = |number: u8, data: &[u8]| Command::Change { parameter: number, data: data.to_vec() };
+    send(change(parameter::FBB_AUTO_CONFIG, &[1]), None, GUIDANCE_QUIET_MS);
+    let rate_hz = settings.measurement_rate_hz;
+    if let Some(hz) = rate_hz {
+        send(change(parameter::MEASUREMENT_RATE, &value::rate_word(hz).to_le_bytes()), None, SET_GAP_MS);
+    }
+    let range = u8::from(scale(settings, findings).range == Range::In72);
+    send(change(parameter::POSITION_SCALING, &[range]), None, SET_GAP_MS);
+    for address in findings.sensors() {
+        send(Command::Format(settings.format), Some(address), SET_GAP_MS);
+        send(Command::Hemisphere(settings.hemisphere.bytes()), Some(address), SET_GAP_MS);
+    }
+    send(change(parameter::GROUP_MODE, &[1]), None, SET_GAP_MS);
+    actions.extend(rate_hz.map(|_| Action::ReadRate));
+    actions.push_back(Action::ReadError);
+    let there = findings.sensors();
+    let present = wanted.iter().filter(|address| there.contains(address));
+    actions.extend(present.map(|&address| Action::ReadSerial(address)));
+    actions.extend([Action::Run, Action::Start]);
+    actions
+}
+
 fn check_fit(
     settings: &Settings,
     wanted: &[u8],
@@ -129,6 +164,20 @@ fn check_fit(
     warnings: &mut Vec<String>,
 ) -> Result<(), String> {
     let found = findings.units.iter().map(|unit| unit.address.to_string()).collect::<Vec<_>>().join(", ");
+    let (family, model) = (settings.family, &findings.model);
+    if family == Family::Guidance && !model.is_empty() && !Family::may_be_guidance(model) {
+        return Err(format!(
+            "the unit calls itself {model}: a Flock, which has no `family = \"3d-guidance\"`"
+        ));
+    }
+    if family == Family::Guidance && findings.units.is_empty() {
+        return Err("no sensor is plugged into the unit; plug one in, and wait until it is found".into());
+    }
+    if group && findings.stand_alone() && Family::may_be_guidance(model) {
+        return Err(format!(
+            "the unit calls itself {model} and lists no birds; of a trakSTAR or driveBAY set family = \"3d-guidance\""
+        ));
+    }
     if group && findings.stand_alone() {
         return Err(
             "the unit is switched to stand-alone (address 0); give its sensor address = 0, or set the \

@@ -1,4 +1,4 @@
-//! Asks an open port whether a Flock of Birds answers, for `posed doctor`.
+//! Asks an open port whether a Flock of Birds or a 3D Guidance unit answers, for `posed doctor`.
 //!
 //! The same contract as a session, without samples: feed it inputs, drain [`Probe::poll_output`], wait
 //! for [`Probe::poll_timeout`], until [`Probe::result`] is there. A caller tries one baud rate after the other;
@@ -95,7 +95,7 @@ impl Probe {
     }
 
     fn examine(&mut self, now: Timestamp) {
-        self.phase = Phase::Examining(Box::new(Examination::new(now, None, 2)));
+        self.phase = Phase::Examining(Box::new(Examination::new(now, None, None, 2)));
         self.on_progress(Progress::Busy);
     }
 

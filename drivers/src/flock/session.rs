@@ -19,6 +19,7 @@ use posed_state::Plain;
 
 use super::asker::Expired;
 use super::examine::{Examination, Failure, Findings, Progress};
+use super::family::{Family, INPUTS};
 use super::settings::{Mode, Settings, SettingsError};
 use crate::sample::Timestamp;
 use crate::session::{Counters, LineEvent, Output, SensorInfo, Session, State};
@@ -31,8 +32,6 @@ const BOOT: Duration = Duration::from_secs(2);
 /// Pauses between attempts at a silent unit: the first, and the longest.
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
 const LONGEST_PAUSE: Duration = Duration::from_millis(250);
-/// How long after its port was opened a unit may be starting: until then no answer is no news.
-const POWER_UP: Duration = Duration::from_secs(3);
 
 /// A live session with one Flock of Birds; see the module's words. Samples are poses in the transmitter frame, of the birds
 /// asked for; the unit's own estimate, without checksum, cut and checked by [`super::parser`].
@@ -54,7 +53,7 @@ pub struct FlockSession {
     /// Serial numbers of sensors by the address of their bird, 0 where nothing is plugged in; read once per opening.
     serials: Vec<(u8, u16)>,
     modem_lines: bool,
-    /// Until then silence may be a unit that starts.
+    /// Until then silence may be a unit that starts: no answer is no news.
     powered_up_at: Timestamp,
     pause: Duration,
     /// Set-ups in a row that ended with birds which do not run.
@@ -82,15 +81,26 @@ impl FlockSession {
     /// is the line rate, bit/s, which limits the rate of records; 0 where the line has no such limit. Closed until the line opens.
     ///
     /// # Errors
-    /// A setting is out of its range; `wanted` is empty, names an address twice, 0 beside others, or one above 126.
+    /// A setting is out of its range; `wanted` is empty, names an address twice, 0 beside others, or one above 126; of a 3D Guidance
+    /// unit one that is not 1 to 4.
     pub fn new(settings: Settings, baud: u32, wanted: &[u16]) -> Result<Self, SettingsError> {
         settings.validate()?;
-        let bad = SettingsError { key: "address", expected: "0 alone, or different numbers from 1 to 126" };
+        let guidance = settings.family == Family::Guidance;
+        let expected = if guidance {
+            "different numbers from 1 to 4"
+        } else {
+            "0 alone, or different numbers from 1 to 126"
+        };
+        let bad = SettingsError { key: "address", expected };
         let mut addresses: Vec<u8> =
             wanted.iter().map(|&address| u8::try_from(address).map_err(|_| bad)).collect::<Result<_, _>>()?;
         addresses.sort_unstable();
         let distinct = addresses.windows(2).all(|pair| pair[0] != pair[1]);
-        let in_range = addresses == [0] || addresses.iter().all(|address| (1..=126).contains(address));
+        let in_range = if guidance {
+            addresses.iter().all(|address| INPUTS.contains(address))
+        } else {
+            addresses == [0] || addresses.iter().all(|address| (1..=126).contains(address))
+        };
         if addresses.is_empty() || !distinct || !in_range {
             return Err(bad);
         }
@@ -160,7 +170,7 @@ impl FlockSession {
 
     fn examine(&mut self, now: Timestamp) {
         self.connecting("asking the unit what it is");
-        let mut examination = Examination::new(now, self.settings.addressing, 3);
+        let mut examination = Examination::new(now, Some(self.settings.family), self.settings.addressing, 3);
         while let Some(bytes) = examination.poll_transmit() {
             self.transmit(bytes);
         }
@@ -208,7 +218,7 @@ impl Session for FlockSession {
                 self.serials.clear();
                 self.set_up_for.clear();
                 self.pause = FIRST_PAUSE;
-                self.powered_up_at = now + POWER_UP;
+                self.powered_up_at = now + self.settings.family.power_up();
                 self.set_state(State::Connecting { reason: "the port is open".into() });
                 if self.settings.mode == Mode::Listen {
                     return self.listen(now);
@@ -217,7 +227,8 @@ impl Session for FlockSession {
                     return self.examine(now);
                 }
                 // Opening has raised RTS, which holds the unit in reset: end that in any case.
-                let asserted = self.settings.reset_on_open;
+                // What RTS does to a 3D Guidance unit is not known.
+                let asserted = self.settings.reset_on_open && self.settings.family == Family::Flock;
                 let wait = if asserted { RESET_PULSE } else { BOOT };
                 self.outputs.push_back(Output::SetRts(asserted));
                 self.phase = Phase::Resetting { until: now + wait, asserted };

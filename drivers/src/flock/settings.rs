@@ -5,12 +5,15 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::family::Family;
 use super::wire::{Addressing, Format, Hemisphere, QuaternionSense, Range, ReportRate, Shape};
 
 /// Settings of one Flock; every key has a default.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Plain)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
+    /// Which units: a Flock, or `3d-guidance` for trakSTAR and driveBAY at their RS-232 port (inferred, never tried on a real unit).
+    pub family: Family,
     /// What each bird's records hold.
     pub format: Format,
     /// Full scale of positions in inches, 36, 72 or 144; absent: 144 with an extended range controller, else 36.
@@ -19,8 +22,8 @@ pub struct Settings {
     pub hemisphere: Hemisphere,
     /// Records are sent every 1, 2, 8 or 32 measurement cycles.
     pub report_every_cycles: ReportRate,
-    /// Measurement rate to set, Hz, 14 to 144; absent: as the unit has it.
-    #[schemars(range(min = 14.0, max = 144.0))]
+    /// Measurement rate to set, Hz, 14 to 144, of a 3D Guidance unit 20 to 255; absent: as the unit has it.
+    #[schemars(range(min = 14.0, max = 255.0))]
     pub measurement_rate_hz: Option<f64>,
     /// Whether the unit streams, is asked for each record, or is only listened to.
     pub mode: Mode,
@@ -41,13 +44,14 @@ pub struct Settings {
     pub units: Option<u8>,
     /// How units are numbered; absent: as the unit is set.
     pub addressing: Option<Addressing>,
-    /// Whether RTS resets the unit when the port opens, where the line exists.
+    /// Whether RTS resets the unit when the port opens, where the line exists; never a 3D Guidance unit.
     pub reset_on_open: bool,
 }
 
 impl Default for Settings {
     fn default() -> Self {
         Self {
+            family: Family::Flock,
             format: Format::PositionQuaternion,
             range_in: None,
             hemisphere: Hemisphere::Forward,
@@ -74,6 +78,31 @@ impl Settings {
     pub fn validate(&self) -> Result<(), SettingsError> {
         let check = |key, ok: bool, expected| if ok { Ok(()) } else { Err(SettingsError { key, expected }) };
         let rate = self.measurement_rate_hz;
+        if self.family == Family::Guidance {
+            const NONE: &str = "left out: a 3D Guidance unit is not known to have it";
+            check(
+                "measurement_rate_hz",
+                rate.is_none_or(|hz| self.family.rates_hz().contains(&hz)),
+                "20 to 255",
+            )?;
+            check(
+                "format",
+                self.family.has_format(self.format),
+                "position-angles, position-matrix or position-quaternion of a 3D Guidance unit",
+            )?;
+            check(
+                "hemisphere",
+                self.family.has_hemisphere(self.hemisphere),
+                "forward or aft of a 3D Guidance unit",
+            )?;
+            check("range_in", self.range_in != Some(Range::In144), "36 or 72 of a 3D Guidance unit")?;
+            check("report_every_cycles", self.report_every_cycles == ReportRate::Every, NONE)?;
+            check("button", !self.button, NONE)?;
+            check("filters", self.filters.is_none(), NONE)?;
+            check("transmitter_address", self.transmitter_address.is_none(), NONE)?;
+            check("units", self.units.is_none(), NONE)?;
+            return check("addressing", self.addressing.is_none(), NONE);
+        }
         check("measurement_rate_hz", rate.is_none_or(|hz| (14.0..=144.0).contains(&hz)), "14 to 144")?;
         check("units", self.units.is_none_or(|n| (1..=126).contains(&n)), "1 to 126")?;
         check("transmitter_number", self.transmitter_number <= 3, "0 to 3")?;

@@ -9,7 +9,7 @@ use crate::flock::wire::{
     Addressing, CommandParser, Format, Hemisphere, QuaternionSense, Range, ReportRate, Scale, Shape,
     Tolerance, record, rotation,
 };
-use crate::flock::{self, FlockSession};
+use crate::flock::{self, Family, FlockSession};
 use crate::sample::Timestamp;
 
 /// Full scale of the largest range, and a little.
@@ -41,7 +41,8 @@ pub(super) const HEMISPHERES: [Hemisphere; 6] = [
 /// others of this module.
 pub fn flock(data: &[u8]) -> usize {
     let (mut head, script) = Head::of(data);
-    let settings = Settings {
+    let mut settings = Settings {
+        family: Family::Flock,
         format: head.pick(FORMATS),
         mode: head.pick([Mode::Stream, Mode::Listen, Mode::Point]),
         button: head.flag(false),
@@ -74,6 +75,7 @@ pub fn flock(data: &[u8]) -> usize {
     let baud = head.pick([115_200, 0, 1, 2400, 9600, u32::MAX]);
     let modem_lines = head.flag(false);
     let wanted = head.addresses(&[0]);
+    settings.family = head.pick([Family::Flock, Family::Guidance]);
     let options = Options {
         format: head.pick([None, Some(settings.format)]),
         range: settings.range_in,

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use nalgebra::Vector3;
 use posed_drivers::Timestamp;
+use posed_drivers::flock::Family;
 use posed_drivers::flock::wire::value::{self, parameter};
 use posed_drivers::flock::wire::{Addressed, BirdStatus, Command, Hemisphere, Refused, UnitStatus};
 
@@ -12,6 +13,10 @@ use super::{Job, VirtualFlock};
 
 /// Time that an auto-configuration takes.
 const AUTO_CONFIG: Duration = Duration::from_millis(270);
+/// The same of a 3D Guidance unit: drivers give it 600 ms.
+const GUIDANCE_CONFIG: Duration = Duration::from_millis(590);
+/// Model of the virtual 3D Guidance unit: what a real one writes is not known.
+const GUIDANCE_MODEL: &[u8; 10] = b"3DGUIDANCE";
 /// From POINT to the record's first bit.
 const POINT: Duration = Duration::from_millis(3);
 /// Input that a unit holds while it is busy; more is an overrun.
@@ -43,6 +48,10 @@ impl VirtualFlock {
             self.set_error(0, 13, to.unwrap_or_default());
             return;
         };
+        if !self.has_command(&command) {
+            self.set_error(index, 6, 0);
+            return;
+        }
         let unit = &mut self.units[index];
         match command {
             Command::Format(format) => unit.format = format,
@@ -121,6 +130,21 @@ impl VirtualFlock {
         }
     }
 
+    /// Whether the unit has a command: of a 3D Guidance unit only those are taken which drivers have been seen to send.
+    fn has_command(&self, command: &Command) -> bool {
+        let family = self.config.family;
+        match *command {
+            _ if family == Family::Flock => true,
+            Command::Format(format) => family.has_format(format),
+            Command::Hemisphere(bytes) => {
+                Hemisphere::from_bytes(bytes).is_some_and(|hemisphere| family.has_hemisphere(hemisphere))
+            }
+            Command::Examine(number) | Command::Change { parameter: number, .. } => family.knows(number),
+            Command::Point | Command::Stream | Command::StreamStop | Command::Run | Command::Sleep => true,
+            _ => false,
+        }
+    }
+
     /// Keeps the unit busy until its answer leaves.
     ///
     /// Delays as seen on real units: 4.5 ms to the first byte from a stand-alone unit, 7 to 11 ms from a
@@ -136,11 +160,12 @@ impl VirtualFlock {
     }
 
     fn examine(&mut self, t: Timestamp, to: Option<u8>, index: usize, number: u8) {
-        if !knows(self.config.revision, number) {
+        if self.config.family == Family::Flock && !knows(self.config.revision, number) {
             self.set_error(index, 6, 0);
             return;
         }
         let addressing = self.config.addressing;
+        let has_sensor = self.config.units[index].sensor.is_some() && !self.is_dead(index, t);
         let unit = &mut self.units[index];
         let bytes = match number {
             parameter::BIRD_STATUS => self.status(index).0.to_le_bytes().to_vec(),
@@ -150,6 +175,8 @@ impl VirtualFlock {
                 unit.error_waiting = false;
                 error[..if number == parameter::ERROR_CODE { 1 } else { 2 }].to_vec()
             }
+            parameter::MODEL_ID if self.config.family == Family::Guidance => GUIDANCE_MODEL.to_vec(),
+            parameter::SENSOR_SERIAL if !has_sensor => vec![0, 0],
             parameter::MODEL_ID if self.config.units[index].extended_controller => b"6DERC     ".to_vec(),
             parameter::MODEL_ID => b"6DFOB     ".to_vec(),
             parameter::FBB_ADDRESSING_MODE => vec![addressing.code()],
@@ -169,7 +196,7 @@ impl VirtualFlock {
     }
 
     fn change(&mut self, t: Timestamp, index: usize, number: u8, data: Vec<u8>) {
-        if !knows(self.config.revision, number) {
+        if self.config.family == Family::Flock && !knows(self.config.revision, number) {
             self.set_error(index, 6, 0);
             return;
         }
@@ -178,7 +205,9 @@ impl VirtualFlock {
             parameter::FBB_AUTO_CONFIG if self.config.stand_alone => self.set_error(index, 7, 0),
             parameter::FBB_AUTO_CONFIG => {
                 self.streaming = false;
-                self.busy = Some((t + AUTO_CONFIG, Job::AutoConfig(data[0])));
+                let guidance = self.config.family == Family::Guidance;
+                let time = if guidance { GUIDANCE_CONFIG } else { AUTO_CONFIG };
+                self.busy = Some((t + time, Job::AutoConfig(data[0])));
             }
             parameter::GROUP_MODE => self.group = data[0] == 1 && !self.config.stand_alone,
             parameter::REPORT_RATE => self.report_every = u16::from(data[0].clamp(1, 127)),
@@ -202,15 +231,25 @@ impl VirtualFlock {
                 }
                 unit.parameters.insert(number, data);
             }
+            // One for all inputs.
+            parameter::POSITION_SCALING if self.config.family == Family::Guidance => {
+                for unit in &mut self.units {
+                    unit.parameters.insert(number, vec![data[0], 0]);
+                }
+            }
             _ => {
                 self.units[index].parameters.insert(number, data);
             }
         }
     }
 
-    /// A new measurement rate; outside 14 to 144 Hz the unit refuses.
+    /// A new measurement rate; what a unit cannot have it refuses.
     fn change_rate(&mut self, t: Timestamp, index: usize, rate_hz: f64) {
-        if !(14.0..=144.0).contains(&rate_hz) {
+        let possible_hz = match self.config.family {
+            Family::Flock => 14.0..=144.0,
+            family => family.rates_hz(),
+        };
+        if !possible_hz.contains(&rate_hz) {
             self.set_error(index, 6, 0);
             return;
         }

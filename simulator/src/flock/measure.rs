@@ -2,6 +2,7 @@
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use posed_drivers::Timestamp;
+use posed_drivers::flock::Family;
 
 use super::unit::Measured;
 use super::{Ready, VirtualFlock};
@@ -81,7 +82,9 @@ impl VirtualFlock {
                 .iter()
                 .any(|fault| wanted(fault) && fault.address() == Some(address) && fault.is_active(t))
         };
-        let frozen = script(|fault| matches!(fault, Fault::OutOfRange { .. }));
+        // An input whose sensor was pulled repeats what it had.
+        let pulled = self.config.family == Family::Guidance && self.is_dead(index, t);
+        let frozen = pulled || script(|fault| matches!(fault, Fault::OutOfRange { .. }));
         let flipped = script(|fault| matches!(fault, Fault::HemisphereFlip { .. }));
         let bad_matrix = script(|fault| matches!(fault, Fault::BadMatrix { .. }));
 

@@ -1,4 +1,4 @@
-//! A virtual Flock of Birds: one chain of units on one serial line.
+//! A virtual Flock of Birds: one chain of units on one serial line; or a 3D Guidance unit, as far as its driver goes.
 //!
 //! What comes in: the host's bytes and the passing of time. What goes out: the bytes of the units, with the
 //! time of each on the wire, and the truth of every measurement cycle. No clock, no port, no thread:
@@ -23,6 +23,7 @@ use std::time::Duration;
 
 use nalgebra::Isometry3;
 use posed_drivers::Timestamp;
+use posed_drivers::flock::Family;
 use posed_drivers::flock::wire::{Addressing, CommandParser};
 
 use crate::device::{Device, DeviceOutput, Sensor, moments};
@@ -50,6 +51,8 @@ const LEAST_BOOT_S: f64 = 1.0;
 pub struct FlockConfig {
     /// Index in the stage's list of devices.
     pub device: usize,
+    /// What it is; a 3D Guidance unit has one unit here for each of its inputs.
+    pub family: Family,
     /// Line rate, bit/s; 0 counts as 1.
     pub baud: u32,
     /// The only unit stands alone (address 0); else the units have addresses 1, 2, ...
@@ -183,6 +186,7 @@ impl VirtualFlock {
             output: VecDeque::new(),
             config,
         };
+        flock.parser.family = flock.config.family;
         flock.power_up(Timestamp::ZERO);
         flock
     }
@@ -225,7 +229,10 @@ impl VirtualFlock {
                 self.stop(t);
                 self.power_up(t);
             }
-            Fault::BirdDies { address, .. } if unit.is_some() => self.set_error(0, 13, address as u8),
+            Fault::BirdDies { address, .. } if unit.is_some() => match self.config.family {
+                Family::Flock => self.set_error(0, 13, address as u8),
+                Family::Guidance => self.set_error(0, 5, 0),
+            },
             Fault::Error { code, detail, .. } => {
                 if let Some(unit) = unit {
                     self.set_error(unit, code, detail);
@@ -291,10 +298,15 @@ impl VirtualFlock {
         }
     }
 
-    /// Whether a unit answers on the bus.
+    /// Whether a unit answers on the bus; inputs of a 3D Guidance unit always do.
     fn is_accessible(&self, unit: usize, t: Timestamp) -> bool {
+        self.config.family == Family::Guidance || !self.is_dead(unit, t)
+    }
+
+    /// Whether the script has switched a unit off, or pulled the sensor of an input.
+    fn is_dead(&self, unit: usize, t: Timestamp) -> bool {
         let address = u16::from(self.units[unit].address);
-        !self.config.faults.iter().any(|fault| {
+        self.config.faults.iter().any(|fault| {
             let (from_s, until_s) = fault.span_s();
             let until_s = until_s.max(from_s + LEAST_BOOT_S.max(self.config.boot.as_secs_f64()));
             matches!(*fault, Fault::BirdDies { address: dead, .. } if dead == address)
@@ -332,6 +344,8 @@ impl Device for VirtualFlock {
 
     fn handle_rts(&mut self, now: Timestamp, asserted: bool) {
         self.handle_timeout(now);
+        // What the line does to a 3D Guidance unit is not known.
+        let asserted = asserted && self.config.family == Family::Flock;
         match (self.held, asserted) {
             (false, true) => {
                 self.held = true;

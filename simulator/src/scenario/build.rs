@@ -4,6 +4,8 @@ use std::path::Path;
 use std::time::Duration;
 
 use nalgebra::{Isometry3, Unit, Vector3};
+use posed_drivers::flock::Family;
+use posed_drivers::flock::family::INPUTS;
 use posed_drivers::flock::wire::Addressing;
 
 use super::{ExcitationSpec, Material, MetalSpec, Scenario, ScenarioError, SensorSpec, StageSpec, invalid};
@@ -141,6 +143,10 @@ impl Scenario {
         if stand_alone && birds.len() > 1 {
             return Err(wrong("address 0 is a stand-alone unit and has no neighbours".to_owned()));
         }
+        let guidance = device.family == Family::Guidance;
+        if guidance && !birds.iter().all(|(address, _)| INPUTS.contains(address)) {
+            return Err(wrong("addresses are 1 to 4".to_owned()));
+        }
         let highest = birds.iter().map(|&(address, _)| address).max().unwrap_or(1);
         let addressing = given.addressing.unwrap_or(match highest {
             0..=14 => Addressing::Normal,
@@ -151,8 +157,9 @@ impl Scenario {
             return Err(wrong(format!("address {highest} does not fit {addressing:?} addressing")));
         }
         let has_first = birds.iter().any(|&(address, _)| address <= 1);
-        let extended_range = given.extended_range.unwrap_or(!has_first);
-        let addresses = if stand_alone { 0..=0 } else { 1..=highest };
+        let extended_range = given.extended_range.unwrap_or(!has_first) && !guidance;
+        let last = if guidance { *INPUTS.end() } else { highest };
+        let addresses = if stand_alone { 0..=0 } else { 1..=last };
         let units = addresses.map(|address| UnitConfig {
             sensor: birds.iter().find(|&&(bird, _)| bird == address).map(|(_, sensor)| sensor.clone()),
             extended_controller: address == 1 && extended_range && !has_first,
@@ -162,6 +169,7 @@ impl Scenario {
         let duration = |ms: f64| Duration::from_secs_f64(ms.max(0.0) * 1e-3);
         let flock = FlockConfig {
             device: index,
+            family: device.family,
             baud: device.baud,
             stand_alone,
             units: units.collect(),

@@ -1,5 +1,6 @@
 //! What the simulator needs to know of a stage.
 
+use posed_drivers::flock::Family;
 use posed_drivers::flock::wire::Hemisphere;
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -75,6 +76,9 @@ pub struct DeviceSpec {
     /// Constant delay from measurement to the record's first bit, ms; below 0 counts as 0, the default.
     #[serde(default)]
     pub measurement_delay_ms: f64,
+    /// Which of Ascension's units it is (flock-of-birds).
+    #[serde(default)]
+    pub family: Family,
     /// Half-space around the transmitter in which its host looks for its sensors, as a direction in the transmitter's axes; absent:
     /// forward, along x. Sensors that no scenario moves move there.
     #[serde(default, deserialize_with = "direction")]

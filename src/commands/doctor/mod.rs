@@ -163,6 +163,7 @@ fn sentences(port: &FoundPort) -> String {
     let mut text = format!("{}\n", port.port);
     if let Some(driver) = port.driver.as_deref() {
         let name = match driver {
+            "flock-of-birds" if port.family.is_some() => "3D Guidance unit",
             "flock-of-birds" => "Flock of Birds",
             "motionstar" => "MotionStar",
             "fastrak" => "Fastrak",

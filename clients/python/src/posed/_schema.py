@@ -1678,6 +1678,10 @@ class FaultMessageFault(TypedDict):
     """A fault began or ended."""
 
     active: bool
+Family: TypeAlias = 'Literal["flock", "3d-guidance"]'
+"""A family of units that share commands, words and error codes."""
+
+
     """Whether it began or ended."""
 
     cause: FaultCause
@@ -2180,6 +2184,9 @@ class FoundPort(TypedDict):
 
     port: str
     """The port as a stage file names it."""
+
+    family: NotRequired[Family | None]
+    """Which of Ascension's units it is, where it is no Flock of Birds."""
 
     problem: str | None
     """What is wrong."""

@@ -115,6 +115,9 @@ pub fn free(name: &str, taken: &[String]) -> String {
 }
 
 /// The same, which is taken from now on.
+        if let Some(family) = port.family {
+            set("family", json!(family));
+        }
 fn take(name: &str, taken: &mut Vec<String>) -> String {
     let found = free(name, taken);
     taken.push(found.clone());

@@ -7,6 +7,7 @@ use tokio::task::JoinSet;
 
 use super::{ANNOUNCED, Answer, Kind, announcements, ask, open_imus, radio_trackers, slimevr_trackers};
 use crate::clock::StageClock;
+use posed_drivers::flock::Family;
 use posed_drivers::flock::examine::Failure;
 use posed_drivers::port::{self, Options, PortError};
 use posed_protocol::{FoundPort, FoundSensor};
@@ -91,7 +92,7 @@ pub async fn network() -> Vec<FoundPort> {
     }
     for (port, heard) in open {
         let Some(identity) = heard.identity() else { continue };
-        let answer = Answer { identity, addressing: None };
+        let answer = Answer { identity, addressing: None, family: None };
         reports.push(found(&format!("udp://0.0.0.0:{port}"), Kind::OpenImu, 0, answer));
     }
     for port in port::receivers() {
@@ -191,6 +192,7 @@ fn found(port: &str, kind: Kind, baud: u32, answer: Answer) -> FoundPort {
         model: identity.model,
         baud: (!port.contains("://")).then_some(baud),
         addressing: answer.addressing,
+        family: answer.family.filter(|family| *family != Family::Flock),
         rate_hz: identity.rate_hz,
         sensors: sensors.map(|info| FoundSensor { address: info.address, serial: info.serial }).collect(),
         problem,

@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use posed_drivers::flock::Family;
 use posed_drivers::flock::wire::Addressing;
 use posed_stage::edit::{Change, Table};
 
@@ -111,6 +112,9 @@ pub struct FoundPort {
     pub baud: Option<u32>,
     /// How units on the bus are numbered.
     pub addressing: Option<Addressing>,
+    /// Which of Ascension's units it is, where it is no Flock of Birds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub family: Option<Family>,
     /// Measurement rate, Hz.
     pub rate_hz: Option<f64>,
     /// Units that have a sensor, by rising address.

@@ -198,7 +198,7 @@ impl FlockSession {
             (Topic::Rate, Some(&[low, high])) => {
                 // It has just been set: what was asked for is the best guess where the answer is damaged.
                 let asked = self.settings.measurement_rate_hz.unwrap_or(configuring.findings.rate_hz);
-                configuring.findings.rate_hz = match value::claimed_rate([low, high]) {
+                configuring.findings.rate_hz = match value::claimed_rate([low, high], self.settings.family) {
                     Ok(rate) => rate.hz(),
                     Err(refused) => {
                         self.warn(examine::not_believed(&refused, asked));

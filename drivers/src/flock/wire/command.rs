@@ -5,6 +5,7 @@
 use posed_state::Plain;
 use thiserror::Error;
 
+use super::super::family::Family;
 use super::value::parameter;
 use super::{Addressing, Format, ReportRate};
 
@@ -203,6 +204,8 @@ pub enum Refused {
 pub struct CommandParser {
     /// Decides the lengths of a few parameters; the prefixes differ, and all of them are understood.
     pub addressing: Addressing,
+    /// Decides the length of the position scaling.
+    pub family: Family,
     to: Option<u8>,
     prefix_open: bool,
     /// Command byte and the data so far; empty between commands.
@@ -297,7 +300,7 @@ impl CommandParser {
                     Some(&number) => {
                         let known = parameter(number);
                         let len = if change {
-                            known.and_then(|p| p.write_len(self.addressing))
+                            known.and_then(|p| self.family.write_len(p, self.addressing))
                         } else {
                             known.map(|_| 0)
                         };

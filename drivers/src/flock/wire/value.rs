@@ -5,6 +5,7 @@
 use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
+use super::super::family::Family;
 use super::{Addressing, Format, Range};
 use crate::rate::{ImpossibleRate, Rate};
 
@@ -247,16 +248,16 @@ pub fn error(code: u8) -> (&'static str, ErrorClass) {
     }
 }
 
-/// Measurement rates that a unit can have, Hz. The maker states 14 to 144 Hz; crystals and firmware differ by less than what is
+/// Measurement rates that a Flock can have, Hz. The maker states 14 to 144 Hz; crystals and firmware differ by less than what is
 /// left to either side, and damage that lands inside harms no more than another setting would.
 pub const RATES_HZ: std::ops::RangeInclusive<f64> = 10.0..=200.0;
 
-/// The measurement rate that a unit answers (parameter 7, two bytes), if a unit can have it.
+/// The measurement rate that a unit answers (parameter 7, two bytes), if a unit of the family can have it.
 ///
 /// # Errors
-/// It is not one of [`RATES_HZ`]. A break on the line makes two zero bytes.
-pub fn claimed_rate(answer: [u8; 2]) -> Result<Rate, ImpossibleRate> {
-    Rate::claimed(rate_hz(u16::from_le_bytes(answer)), &RATES_HZ)
+/// It is not one of [`Family::rates_hz`]. A break on the line makes two zero bytes.
+pub fn claimed_rate(answer: [u8; 2], family: Family) -> Result<Rate, ImpossibleRate> {
+    Rate::claimed(rate_hz(u16::from_le_bytes(answer)), &family.rates_hz())
 }
 
 /// Measurement rate in Hz of parameter 7's word, as it stands: 1/256 Hz per step. What a unit claims is for [`claimed_rate`].
