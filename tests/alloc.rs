@@ -212,10 +212,78 @@ fn a_warm_chain_does_not_allocate() {
     assert_eq!(taken, 0, "in {bodies} bodies");
 }
 
+/// Devices that the stage of all kinds does not have: a Liberty, a WitMotion sensor, boards, phones, and trackers through a receiver.
+const MORE_DEVICES: &str = r#"
+[[device]]
+name = "liberty"
+driver = "polhemus"
+port = "/dev/ttyUSB2"
+baud = 921600
+
+[[device]]
+name = "wit"
+driver = "witmotion"
+port = "/dev/ttyUSB3"
+
+[[device]]
+name = "boards"
+driver = "open-imu"
+port = "udp://0.0.0.0:9301"
+devices = ["board"]
+
+[[device]]
+name = "lines"
+driver = "open-imu"
+port = "udp://0.0.0.0:9302"
+devices = ["line"]
+
+[[device]]
+name = "phones"
+driver = "open-imu"
+port = "websocket"
+devices = ["phone"]
+
+[[device]]
+name = "receiver"
+driver = "slimevr"
+port = "/dev/hidraw0"
+
+[[sensor]]
+name = "station"
+device = "liberty"
+address = 1
+
+[[sensor]]
+name = "wit"
+device = "wit"
+address = 0
+
+[[sensor]]
+name = "board"
+device = "boards"
+address = 1
+
+[[sensor]]
+name = "line"
+device = "lines"
+address = 1
+
+[[sensor]]
+name = "phone"
+device = "phones"
+address = 1
+
+[[sensor]]
+name = "by-radio"
+device = "receiver"
+address = 1
+"#;
+
 /// Timers apart: the server of the SlimeVR trackers speaks to each of them twice a second.
 #[test]
 fn a_warm_pipeline_of_many_devices_does_not_allocate_for_what_it_reads() {
-    let stage_file = Stage::parse(include_str!("../config/many-devices.toml")).unwrap();
+    let text = format!("{}{MORE_DEVICES}", include_str!("../config/many-devices.toml"));
+    let stage_file = Stage::parse(&text).unwrap();
     let mut rig = Rig::new(&stage_file, &Scenario::default());
     rig.run_until(10.0);
     let mut pipeline = Pipeline::new(&stage_file).unwrap();

@@ -1,6 +1,6 @@
 //! The devices of a stage: what kind, at what port, how they behave, and how far they can be held to the truth.
 
-use posed_drivers::{fastrak, flock, motionstar, slimevr, x_imu3, xbus};
+use posed_drivers::{fastrak, flock, motionstar, open_imu, polhemus, slimevr, witmotion, x_imu3, xbus};
 use posed_simulator::faults::Fault;
 use posed_simulator::inertial::ImuClass;
 use posed_simulator::scenario::{DeviceScenario, Personality};
@@ -29,10 +29,22 @@ pub(crate) enum Kind {
     Xbus,
     XImu3,
     SlimeVr,
+    Polhemus,
+    WitMotion,
+    OpenImu,
 }
 
-const KINDS: [Kind; 6] =
-    [Kind::Flock, Kind::Fastrak, Kind::MotionStar, Kind::Xbus, Kind::XImu3, Kind::SlimeVr];
+const KINDS: [Kind; 9] = [
+    Kind::Flock,
+    Kind::Fastrak,
+    Kind::MotionStar,
+    Kind::Xbus,
+    Kind::XImu3,
+    Kind::SlimeVr,
+    Kind::Polhemus,
+    Kind::WitMotion,
+    Kind::OpenImu,
+];
 
 /// A device as it stands before its settings are drawn.
 pub(crate) struct Device {
@@ -53,6 +65,9 @@ impl Kind {
             Self::Xbus => "xbus",
             Self::XImu3 => "x-imu3",
             Self::SlimeVr => "slimevr",
+            Self::Polhemus => "polhemus",
+            Self::WitMotion => "witmotion",
+            Self::OpenImu => "open-imu",
         }
     }
 
@@ -64,12 +79,15 @@ impl Kind {
             Self::Xbus => schema_for!(xbus::Settings),
             Self::XImu3 => schema_for!(x_imu3::Settings),
             Self::SlimeVr => schema_for!(slimevr::Settings),
+            Self::Polhemus => schema_for!(polhemus::Settings),
+            Self::WitMotion => schema_for!(witmotion::Settings),
+            Self::OpenImu => schema_for!(open_imu::Settings),
         };
         schema.to_value()
     }
 
     pub(crate) fn is_magnetic(self) -> bool {
-        matches!(self, Self::Flock | Self::Fastrak | Self::MotionStar)
+        matches!(self, Self::Flock | Self::Fastrak | Self::MotionStar | Self::Polhemus)
     }
 
     /// Whether bytes can be damaged so that nothing on the wire shows it. In a Flock's records bit 7 is known. An Xbus message has a
@@ -127,9 +145,18 @@ pub(crate) fn device(dice: &mut Dice, index: usize) -> Device {
         Kind::Xbus => (serial(), 921_600, (1..=count).collect()),
         Kind::XImu3 if count > 2 => (serial(), 115_200, (1..=count - 1).collect()),
         Kind::XImu3 => (if dice.chance(0.5) { serial() } else { udp() }, 115_200, vec![0]),
+        // Through a receiver on USB, or by a network.
+        Kind::SlimeVr if dice.chance(0.3) => (format!("/dev/hidraw{index}"), 115_200, (1..=count).collect()),
         Kind::SlimeVr => (udp(), 115_200, (1..=count).collect()),
+        // A line that carries all stations at 240 Hz.
+        Kind::Polhemus => (serial(), 921_600, (1..=count).collect()),
+        Kind::WitMotion => (serial(), 115_200, vec![0]),
+        Kind::OpenImu => {
+            let port = if dice.chance(0.3) { "websocket".to_owned() } else { udp() };
+            (port, 115_200, (1..=count).collect())
+        }
     };
-    let on_line = port.starts_with("/dev");
+    let on_line = port.starts_with("/dev/tty");
     let behaviour = DeviceScenario {
         name: format!("d{index}"),
         rate_hz: *dice.pick(&[100.0, 103.3, 120.0, 60.0, 50.0]),
@@ -156,6 +183,10 @@ impl Device {
             // Without a list they are numbered as they come, and nobody can say which is which.
             let name = |number: &u16| toml::Value::String(format!("A4:CF:12:D4:{at:02X}:{number:02X}"));
             table.insert("trackers".into(), self.addresses.iter().map(name).collect::<Vec<_>>().into());
+        }
+        if self.kind == Kind::OpenImu {
+            let name = |number: &u16| toml::Value::String(format!("board-{at}-{number}"));
+            table.insert("devices".into(), self.addresses.iter().map(name).collect::<Vec<_>>().into());
         }
         if delay_ms > 0.0 {
             table.insert("measurement_delay_ms".into(), delay_ms.into());

@@ -22,7 +22,7 @@ pub(crate) fn draw(dice: &mut Dice, schema: &Value) -> Vec<Setting> {
     let Some(properties) = schema["properties"].as_object() else { return drawn };
     for (key, property) in properties {
         // Which unit is which: the plan says it.
-        if key == "trackers" || !dice.chance(DRAWN) {
+        if matches!(key.as_str(), "trackers" | "devices") || !dice.chance(DRAWN) {
             continue;
         }
         let beyond = dice.chance(BEYOND);

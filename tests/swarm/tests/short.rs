@@ -5,7 +5,7 @@ use std::sync::Mutex;
 use posed_swarm::{minimised, run_all};
 
 /// Seeds of this run.
-const SEEDS: u64 = 48;
+const SEEDS: u64 = 32;
 const MINUTES: f64 = 0.6;
 
 #[test]
