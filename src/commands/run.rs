@@ -116,7 +116,8 @@ async fn start(options: Options, file: StageFile, wait: bool) -> Result<Option<S
 pub(crate) fn options(stage: Stage, text: String, folder: PathBuf) -> Options {
     let options = Options::new(stage, text, folder);
     #[cfg(feature = "zenoh")]
-    let options = Options { link: Some(posed_mesh::connect), ..options };
+    let options =
+        Options { link: Some(posed_mesh::connect), ros2: Some(posed_mesh::publish_ros2), ..options };
     options
 }
 

@@ -41,6 +41,8 @@ mod packaging;
 mod pipeline;
 mod python;
 mod reference;
+#[cfg(feature = "zenoh")]
+mod ros2;
 mod segments;
 mod server;
 mod sessions;

@@ -79,7 +79,7 @@ use self::fusion::{Command, Fusion, INBOX_CAPACITY};
 use self::inbox::Inbox;
 use self::jobs::Jobs;
 use self::library::TakeLibrary;
-use self::link::Link;
+use self::link::{Link, Published};
 use self::models::{Library, Loaded};
 use self::observers::Observers;
 use self::ports::{DevicePort, PortTask};
@@ -123,6 +123,8 @@ pub struct Options {
     /// What connects the stage to other machines, where its file has `[zenoh]`. Absent, such a stage runs without, and its status
     /// reports the problem.
     pub link: Option<link::Connect>,
+    /// What publishes for ROS 2, where the stage file has `[ros2]`; absent, as with `link`.
+    pub ros2: Option<link::Publish>,
 }
 
 impl Options {
@@ -139,6 +141,7 @@ impl Options {
             truth: false,
             clock: StageClock::start(),
             link: None,
+            ros2: None,
         }
     }
 }
@@ -176,7 +179,7 @@ pub struct Daemon {
     gate: Option<Gate>,
     fusion: std::thread::JoinHandle<()>,
     /// Dropped at the end.
-    link: Option<Box<dyn Any + Send>>,
+    links: Vec<Box<dyn Any + Send>>,
 }
 
 impl Daemon {
@@ -218,7 +221,7 @@ impl Daemon {
     }
 
     fn begin(options: Options, place: Place) -> Result<Self, StartError> {
-        let Options { stage, stage_toml, folder, data, listen, record, truth, clock, link } = options;
+        let Options { stage, stage_toml, folder, data, listen, record, truth, clock, link, ros2 } = options;
         process_limits::raise();
         let loaded = models::load(&stage, &data)?;
         let in_use = MapInUse::read(&stage, &data)?;
@@ -231,28 +234,38 @@ impl Daemon {
         config.more_topics = if truth { vec![Topic::Truth] } else { Vec::new() };
         let inbox = Inbox::new(INBOX_CAPACITY);
         let recordings = stage.recording.folder.clone().unwrap_or_else(|| data.join("recordings"));
-        let (mut feed, mut log, mut session) = (None, None, None);
+        let (mut feeds, mut links, mut log) = (Vec::new(), Vec::new(), None);
+        let context =
+            || link::Context { stage: &stage, clock, inbox: inbox.clone(), recordings: recordings.clone() };
+        // The stage runs without them too.
+        let mut failed = |code, error: Box<dyn std::error::Error + Send + Sync>| {
+            tracing::warn!("{error}");
+            config.problems.push(Problem::new(code, error.to_string()));
+        };
         if stage.zenoh.is_some() {
-            let context =
-                link::Context { stage: &stage, clock, inbox: inbox.clone(), recordings: recordings.clone() };
-            let connected = link.ok_or_else(|| link::ABSENT.into()).and_then(|connect| connect(context));
-            match connected {
-                Ok(link) => {
-                    let Link { feed: publishes, log: logs, session: lasts } = link;
-                    (feed, log, session) = (Some(publishes), Some(logs), Some(lasts));
+            match link.ok_or_else(|| link::ABSENT.into()).and_then(|connect| connect(context())) {
+                Ok(Link { feed, log: logs, session }) => {
+                    feeds.push(feed);
+                    links.push(session);
+                    log = Some(logs);
                 }
-                // The stage runs without it too.
-                Err(error) => {
-                    tracing::warn!("{error}");
-                    config.problems.push(Problem::new("zenoh", error.to_string()));
+                Err(error) => failed("zenoh", error),
+            }
+        }
+        if stage.ros2.is_some() {
+            match ros2.ok_or_else(|| link::ROS2_ABSENT.into()).and_then(|publish| publish(context())) {
+                Ok(Published { feed, session }) => {
+                    feeds.push(feed);
+                    links.push(session);
                 }
+                Err(error) => failed("ros2", error),
             }
         }
         let library = TakeLibrary::start(recordings.clone()).map_err(StartError::Thread)?;
         let shelf = playback::Recordings::new(recordings.clone(), library.clone());
         let phones = PhonePlace { data: data.clone(), socket: place.phones, clock };
         let sides = Sides {
-            feed,
+            feeds,
             shelf: Some(Arc::new(shelf)),
             files: Some(recordings.clone()),
             phones: Some(phones),
@@ -333,7 +346,7 @@ impl Daemon {
         let calls = calls.run(pending, service.down());
         service.spawn("what answers requests", calls);
         service.spawn("what looks at the disk", disk.watch(recordings, service.down()));
-        Ok(Self { clock, service, inbox, ports, gate, fusion, link: session })
+        Ok(Self { clock, service, inbox, ports, gate, fusion, links })
     }
 
     /// Gives a device (index in the stage's list) an open stream instead of its port; it is not opened again when it ends. Does
@@ -401,7 +414,7 @@ impl Daemon {
         self.inbox.command(Command::Shutdown);
         self.service.shutdown(self.fusion).await;
         // Its threads may be waiting for a link.
-        let _ = tokio::task::spawn_blocking(move || drop(self.link)).await;
+        let _ = tokio::task::spawn_blocking(move || drop(self.links)).await;
     }
 }
 

@@ -56,9 +56,30 @@ pub(crate) fn open(settings: &Zenoh) -> Result<Session, LinkError> {
     zenoh::open(config).wait().map_err(|error| LinkError::Open { ends, error })
 }
 
+/// Opens the session of a client of a router, in this time; blocks meanwhile. A router that goes is connected to again when it comes.
+pub(crate) fn open_client(routers: &[String], within_ms: u32) -> zenoh::Result<Session> {
+    let mut config = Config::default();
+    for (key, value) in [
+        ("mode", "\"client\"".to_owned()),
+        ("connect/endpoints", serde_json::to_string(routers)?),
+        ("connect/timeout_ms", within_ms.to_string()),
+        ("connect/exit_on_failure", "true".to_owned()),
+        ("connect/retry", retry()),
+        ("scouting/multicast/enabled", "false".to_owned()),
+        ("transport/link/rx/max_message_size", MESSAGE_BYTES.to_string()),
+    ] {
+        config.insert_json5(key, &value)?;
+    }
+    zenoh::open(config).wait()
+}
+
+fn retry() -> String {
+    let retry = json!({"period_init_ms": RETRY_MS, "period_max_ms": RETRY_MS, "period_increase_factor": 1});
+    retry.to_string()
+}
+
 fn config(settings: &Zenoh) -> zenoh::Result<Config> {
     let ends = |list: &[String]| serde_json::to_string(list);
-    let retry = json!({"period_init_ms": RETRY_MS, "period_max_ms": RETRY_MS, "period_increase_factor": 1});
     let open_ms = (OPEN_ROUND_TRIPS * settings.round_trip_ms).max(OPEN_MS) as u32;
     let mut config = Config::default();
     for (key, value) in [
@@ -67,7 +88,7 @@ fn config(settings: &Zenoh) -> zenoh::Result<Config> {
         ("connect/endpoints", ends(&settings.connect)?),
         ("connect/timeout_ms", "-1".to_owned()),
         ("connect/exit_on_failure", "false".to_owned()),
-        ("connect/retry", retry.to_string()),
+        ("connect/retry", retry()),
         ("scouting/multicast/enabled", "false".to_owned()),
         ("scouting/gossip/enabled", "false".to_owned()),
         ("open/return_conditions/connect_scouted", "false".to_owned()),

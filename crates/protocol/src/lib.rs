@@ -34,6 +34,7 @@ mod plain;
 mod publisher;
 mod rate;
 mod request;
+pub mod ros2;
 pub mod round;
 pub mod schema;
 mod sensors;

@@ -100,6 +100,8 @@ pub struct Stage {
     pub lsl: Option<Lsl>,
     /// Hubs and other programs on other machines, by zenoh; absent: the stage stays on this one.
     pub zenoh: Option<Zenoh>,
+    /// Programs of ROS 2 that use rmw_zenoh; absent: they get nothing.
+    pub ros2: Option<Ros2>,
     /// Models that are loaded at the start.
     #[serde(default)]
     pub models: Models,
@@ -528,6 +530,27 @@ pub struct Mvn {
 pub struct Lsl {
     /// The file of liblsl; absent: where the system has it.
     pub library: Option<PathBuf>,
+}
+
+/// Programs of ROS 2 by rmw_zenoh, through its router: poses, joint angles and what IMUs measure, as ROS's own messages.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Ros2 {
+    /// Addresses of routers, `tcp/HOST:PORT`, of which the first that answers is taken, and tried again for ever; absent: tcp/localhost:7447.
+    pub connect: Option<Vec<String>>,
+    /// `ROS_DOMAIN_ID` of the programs.
+    #[serde(default)]
+    #[schemars(range(max = 232))]
+    pub domain_id: u8,
+    /// Namespace of node, topics and frames, such as `hall/left`; absent: none.
+    #[schemars(length(min = 1, max = 100))]
+    pub namespace: Option<String>,
+    /// Name of the room's frame, which all others are children of; absent: `map`.
+    #[schemars(length(min = 1, max = 100))]
+    pub frame: Option<String>,
+    /// Messages per second on each topic at most, Hz; absent: one for each frame and body.
+    #[schemars(range(min = 1.0, max = 1000.0))]
+    pub rate_hz: Option<f64>,
 }
 
 /// Models that are loaded at the start; relative paths begin at the stage file.

@@ -65,7 +65,7 @@ impl Zenoh {
 
 impl Stage {
     /// The text of a stage file that says the same of devices, sensors and body, for other machines: without the tables `server`,
-    /// `vrpn`, `vmc`, `mvn`, `lsl`, `zenoh` and `recording`, and so without tokens and passwords. What `models`, `segments` and
+    /// `vrpn`, `vmc`, `mvn`, `lsl`, `zenoh`, `ros2` and `recording`, and so without tokens and passwords. What `models`, `segments` and
     /// `simulation` name, and the devices' ports, stay in it.
     ///
     /// # Errors
@@ -78,6 +78,7 @@ impl Stage {
             mvn: None,
             lsl: None,
             zenoh: None,
+            ros2: None,
             recording: super::Recording::default(),
             ..self.clone()
         };

@@ -190,7 +190,7 @@ const CALLS: usize = 64;
 #[derive(Default)]
 pub(super) struct Sides {
     /// All that is published goes there too, for programs on other machines.
-    pub(super) feed: Option<Box<dyn Feed>>,
+    pub(super) feeds: Vec<Box<dyn Feed>>,
     /// Recordings that clients may watch.
     pub(super) shelf: Option<Arc<dyn Shelf>>,
     /// Folder whose recordings and exports clients may fetch.
@@ -333,15 +333,22 @@ impl Server {
         let lsl = stage.lsl.as_ref().zip(config.clock.filter(|_| !config.replay));
         let lsl = lsl.map(|(settings, clock)| Streaming::start(stage, settings, clock, Arc::clone(&metrics)));
         let distributor = Distributor::new(Arc::clone(&shared.names), limits, metrics, config.counters);
-        let Sides { feed, shelf, files, phones } = sides;
+        let Sides { feeds, shelf, files, phones } = sides;
         let phones = phones.map(|place| Phones::new(stage, place, config.folder, &listener.context));
         if let Some(phones) = &phones {
             phones.hear_from(shared.reports.newest());
         }
         let files = files.map(|folder| Files::new(folder, &listener.context));
         let takes = shelf.map(|shelf| Takes::new(shelf, &listener.context));
-        let outlets =
-            Outlets { distributor, viewers, vrpn: vrpn_outlet, datagrams, lsl, feed, phones: phones.clone() };
+        let outlets = Outlets {
+            distributor,
+            viewers,
+            vrpn: vrpn_outlet,
+            datagrams,
+            lsl,
+            feeds,
+            phones: phones.clone(),
+        };
         let hub_in = hub.clone();
         let server = Self { listener, shared, outlets, vrpn, hub: hub_in, commands, takes, files, phones };
         Ok((server, hub, calls))
@@ -491,7 +498,7 @@ struct Outlets {
     datagrams: Vec<datagrams::Outlet>,
     lsl: Option<Streaming>,
     /// Programs on other machines.
-    feed: Option<Box<dyn Feed>>,
+    feeds: Vec<Box<dyn Feed>>,
     phones: Option<Phones>,
 }
 
@@ -503,7 +510,7 @@ async fn distribute(
     shared: Arc<Shared>,
 ) {
     use std::sync::atomic::Ordering;
-    let Outlets { distributor, viewers, vrpn, datagrams, lsl, feed, phones } = &mut outlets;
+    let Outlets { distributor, viewers, vrpn, datagrams, lsl, feeds, phones } = &mut outlets;
     loop {
         while let Some(mut item) = hub.take() {
             let _ = fault_points::pass("distributor");
@@ -514,7 +521,7 @@ async fn distribute(
             if let hub::Item::Status(status) = &mut item {
                 status.problems.extend(lsl.as_ref().and_then(Streaming::problem));
                 status.problems.extend_from_slice(&shared.problems);
-                status.problems.extend(feed.as_ref().and_then(|feed| feed.problem()));
+                status.problems.extend(feeds.iter().filter_map(|feed| feed.problem()));
                 status.problems.extend(phones.as_ref().and_then(Phones::problem));
                 shared.metrics.take(status);
             }
@@ -526,8 +533,8 @@ async fn distribute(
             if let (Some(streaming), Some(stamp)) = (&lsl, &stamp) {
                 streaming.publish(&item, stamp, &shared.names);
             }
-            if let (Some(feed), Some(stamp)) = (&*feed, &stamp) {
-                feed.publish(&item, stamp, &shared.names);
+            if let Some(stamp) = &stamp {
+                feeds.iter().for_each(|feed| feed.publish(&item, stamp, &shared.names));
             }
             viewers.publish(&item, stamp.as_ref());
             if let hub::Item::Status(status) = &item {

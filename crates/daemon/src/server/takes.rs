@@ -183,7 +183,7 @@ impl Takes {
             vrpn: None,
             datagrams: Vec::new(),
             lsl: None,
-            feed: None,
+            feeds: Vec::new(),
             phones: None,
         };
         let distributing = distribute(outlets, hub, commands, Arc::clone(&shared));

@@ -43,6 +43,9 @@ pub(super) fn check(document: &Spanned<DeTable<'_>>, folder: Option<&Path>, note
     if let Some(zenoh) = root.item("zenoh") {
         zenoh::check(&zenoh, folder, notes);
     }
+    if let Some(ros2) = root.item("ros2") {
+        zenoh::check_ros2(&ros2, notes);
+    }
     if let (Some(recording), Some(folder)) = (root.item("recording"), folder) {
         folder_key(&recording, "folder", folder, notes);
     }

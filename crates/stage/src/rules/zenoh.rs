@@ -8,19 +8,7 @@ use super::Item;
 use super::server::{secret, warn_if_readable};
 
 pub(super) fn check(zenoh: &Item<'_, '_>, folder: Option<&Path>, notes: &mut Notes<'_>) {
-    let mut ends = 0;
-    for key in ["listen", "connect"] {
-        for end in zenoh.get(key).and_then(|list| list.get_ref().as_array()).into_iter().flatten() {
-            ends += 1;
-            let Some(text) = end.get_ref().as_str() else { continue };
-            if !is_endpoint(text) {
-                let message = format!("`{text}` is no address of zenoh");
-                let fix = "write \"tcp/HOST:PORT\", such as \"tcp/192.168.1.20:7447\"";
-                notes.problem(&end.span(), key, message, fix);
-            }
-        }
-    }
-    if ends == 0 {
+    if endpoints(zenoh, "listen", notes) + endpoints(zenoh, "connect", notes) == 0 {
         let message = "nobody can be reached: there is neither an address to listen on nor one to connect to";
         notes.problem(
             &zenoh.header,
@@ -62,6 +50,50 @@ pub(super) fn check(zenoh: &Item<'_, '_>, folder: Option<&Path>, notes: &mut Not
     }
 }
 
+pub(super) fn check_ros2(ros2: &Item<'_, '_>, notes: &mut Notes<'_>) {
+    if endpoints(ros2, "connect", notes) == 0
+        && let Some(connect) = ros2.get("connect")
+    {
+        let fix = "write connect = [\"tcp/HOST:7447\"] with the address of the router, or leave it out for that of this computer";
+        notes.problem(&connect.span(), "connect", "there is no router to connect to", fix);
+    }
+    for (key, example) in [("namespace", "hall/left"), ("frame", "map")] {
+        let Some(text) = ros2.text(key) else { continue };
+        if !is_ros_name(text.value) {
+            let message = format!("`{}` is no name in ROS 2", text.value);
+            let fix = format!(
+                "write letters, digits and single `_`, a letter first, with `/` between, such as \"{example}\""
+            );
+            notes.problem(&text.at, key, message, fix);
+        }
+    }
+}
+
+/// Names without a slash at their beginning.
+fn is_ros_name(text: &str) -> bool {
+    let plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    text.split('/').all(|token| {
+        token.starts_with(|c: char| c.is_ascii_alphabetic())
+            && token.chars().all(plain)
+            && !token.contains("__")
+    })
+}
+
+/// How many there are in a list; those that are none are reported.
+fn endpoints(table: &Item<'_, '_>, key: &str, notes: &mut Notes<'_>) -> usize {
+    let mut ends = 0;
+    for end in table.get(key).and_then(|list| list.get_ref().as_array()).into_iter().flatten() {
+        ends += 1;
+        let Some(text) = end.get_ref().as_str() else { continue };
+        if !is_endpoint(text) {
+            let message = format!("`{text}` is no address of zenoh");
+            let fix = "write \"tcp/HOST:PORT\", such as \"tcp/192.168.1.20:7447\"";
+            notes.problem(&end.span(), key, message, fix);
+        }
+    }
+    ends
+}
+
 /// TCP to a host and a port, with nothing behind that would change what zenoh does.
 fn is_endpoint(text: &str) -> bool {
     text.strip_prefix("tcp/").and_then(|address| address.rsplit_once(':')).is_some_and(|(host, port)| {
@@ -95,6 +127,25 @@ mod tests {
             let problem = report.problems.iter().find(|problem| problem.key == key);
             assert!(problem.is_some_and(|problem| problem.line >= 2), "{text}: {:?}", report.problems);
         }
+        for (text, key) in [
+            ("connect = [\"udp/localhost:7447\"]", "connect"),
+            ("connect = []", "connect"),
+            ("namespace = \"/hall\"", "namespace"),
+            ("namespace = \"hall__a\"", "namespace"),
+            ("namespace = \"2nd\"", "namespace"),
+            ("frame = \"my room\"", "frame"),
+            ("frame = \"map/\"", "frame"),
+            ("domain_id = 233", "domain_id"),
+            ("domain_id = -1", "domain_id"),
+            ("rate_hz = 0.0", "rate_hz"),
+            ("topic = \"a\"", "topic"),
+        ] {
+            let report = check(&format!("name = \"s\"\n[ros2]\n{text}\n"));
+            let problem = report.problems.iter().find(|problem| problem.key == key);
+            assert!(problem.is_some_and(|problem| problem.line == 3), "{text}: {:?}", report.problems);
+        }
+        let right = "name = \"s\"\n[ros2]\nconnect = [\"tcp/robot:7447\"]\nnamespace = \"hall/left_2\"\nframe = \"world\"\n";
+        assert!(check(right).ok, "{:?}", check(right).problems);
         let right = "name = \"s\"\n[zenoh]\nlisten = [\"tcp/[::]:7447\"]\nconnect = [\"tcp/hub:7447\"]\nkey = \"hall/a-1\"\n";
         assert!(check(right).ok, "{:?}", check(right).problems);
     }
