@@ -30,9 +30,28 @@ const FIELD: &[u8] = include_bytes!("../../config/demo-field.json");
 /// Where its trackers are, and what they look like with faults; `rehearsal` makes it.
 const FAULTS: &[u8] = include_bytes!("../../config/demo-faults.json");
 
+/// What the person of that stage does at first: all exercises in sets, and more.
+const ACTIVITY: &str = "activity = \"workout\"";
+
+/// An exercise that its person can do without end.
+struct Exercise {
+    name: &'static str,
+    /// As the simulator calls it.
+    activity: &'static str,
+    /// What was taught of it; docs/exercise.md states how.
+    taught: &'static [u8],
+}
+
+const EXERCISES: [Exercise; 2] = [
+    Exercise { name: "curl", activity: "curls", taught: include_bytes!("../../config/demo-curl.json") },
+    Exercise { name: "squat", activity: "squats", taught: include_bytes!("../../config/demo-squat.json") },
+];
+
 /// What to show.
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  posed demo\n\nThen open the address that it prints; Ctrl-C ends it.")]
+#[command(
+    after_help = "Examples:\n  posed demo\n  posed demo --exercise curl\n\nThen open the address that it prints; Ctrl-C ends it."
+)]
 pub(crate) struct Args {
     /// Address for the page and the websocket, in place of the stage's.
     #[arg(long, value_name = "HOST:PORT")]
@@ -40,6 +59,10 @@ pub(crate) struct Args {
     /// Simulate another stage file than the one that is built in.
     #[arg(long, value_name = "STAGE.toml")]
     stage: Option<PathBuf>,
+    /// The person does this exercise without end, and it is counted from the start on: `exercise.list` has it, nobody needs to teach it. One of the same name that
+    /// is kept in `--data` counts in its place.
+    #[arg(long, value_name = "NAME", conflicts_with = "stage", value_parser = clap::builder::PossibleValuesParser::new(EXERCISES.map(|exercise| exercise.name)))]
+    exercise: Option<String>,
     /// Record everything that comes in, from the first byte on.
     #[arg(long, value_name = "REC.mcap")]
     record: Option<PathBuf>,
@@ -54,6 +77,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         .prefix("posed-")
         .tempdir()
         .map_err(|error| Error::Failed(format!("cannot make a folder for the ports: {error}")))?;
+    let exercise = EXERCISES.iter().find(|exercise| args.exercise.as_deref() == Some(exercise.name));
     let (stage, text, folder) = match &args.stage {
         Some(path) => {
             let text = std::fs::read_to_string(path).map_err(|error| Error::file("read", path, &error))?;
@@ -61,7 +85,8 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
             (Stage::load(path).map_err(Error::failed)?, text, folder)
         }
         None => {
-            let mut stage = Stage::parse(STAGE).map_err(Error::failed)?;
+            let text = exercise.map_or_else(|| STAGE.to_owned(), Exercise::stage);
+            let mut stage = Stage::parse(&text).map_err(Error::failed)?;
             let unpack = |path: &mut PathBuf, bytes: &[u8]| {
                 *path = ports.path().join(&*path);
                 std::fs::write(&*path, bytes).map_err(|error| Error::file("write", path, &error))
@@ -75,7 +100,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
             if let Some(faults) = &mut stage.models.faults {
                 unpack(faults, FAULTS)?;
             }
-            (stage, STAGE.to_owned(), PathBuf::new())
+            (stage, text, PathBuf::new())
         }
     };
     let duration_s = simulation::scenario(&stage)?.duration_s;
@@ -87,6 +112,9 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         options.stage.recording.folder.get_or_insert(recordings);
         ports.path().join("data")
     });
+    if let Some(exercise) = exercise {
+        options.stage.models.exercises = vec![exercise.kept(&options.data)?];
+    }
     options.listen = args.listen;
     options.record = args.record;
     options.truth = true;
@@ -110,6 +138,24 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
             host.stop().await.map_err(|error| Error::Failed(format!("a virtual device failed: {error}")));
         ended.and(stopped)
     })
+}
+
+impl Exercise {
+    /// The stage file with a person who does it.
+    fn stage(&self) -> String {
+        STAGE.replace(ACTIVITY, &format!("activity = \"{}\"", self.activity))
+    }
+
+    /// Its file where exercises are kept, for whoever lists and selects them; one that is there already stays.
+    fn kept(&self, data: &Path) -> Result<PathBuf, Error> {
+        let folder = data.join("exercises");
+        let path = folder.join(format!("{}-001.json", self.name));
+        if !path.exists() {
+            let written = std::fs::create_dir_all(&folder).and_then(|()| std::fs::write(&path, self.taught));
+            written.map_err(|error| Error::file("write", &path, &error))?;
+        }
+        Ok(path)
+    }
 }
 
 /// Sends the truth to the `truth` topic.
@@ -162,6 +208,22 @@ fn truth_of(row: &TruthRow) -> TruthSensor {
 mod tests {
     use super::*;
     use posed_simulator::truth::Class;
+
+    #[test]
+    fn each_exercise_has_a_person_who_does_it_and_is_kept_once() {
+        let folder = tempfile::tempdir().unwrap();
+        for exercise in &EXERCISES {
+            let stage = Stage::parse(&exercise.stage()).unwrap();
+            assert!(exercise.stage() != STAGE && simulation::scenario(&stage).is_ok(), "{}", exercise.name);
+            let path = exercise.kept(folder.path()).unwrap();
+            let taught =
+                posed_motion::exercise::Exercise::from_json(&std::fs::read_to_string(&path).unwrap());
+            assert_eq!(taught.unwrap().name, exercise.name);
+            std::fs::write(&path, "of somebody").unwrap();
+            assert_eq!(exercise.kept(folder.path()).unwrap(), path);
+            assert_eq!(std::fs::read_to_string(&path).unwrap(), "of somebody");
+        }
+    }
 
     #[test]
     fn the_truth_of_each_sensor_comes_ten_times_a_second() {

@@ -40,6 +40,7 @@ mod open_imu_live;
 mod packaging;
 mod pipeline;
 mod python;
+mod recipes;
 mod reference;
 #[cfg(feature = "zenoh")]
 mod ros2;

@@ -14,7 +14,13 @@ fn the_python_client_and_the_blender_add_on_do_what_they_say() {
         return;
     };
     let folder = tempfile::tempdir().unwrap();
-    let demo = Posed::start(["demo".as_ref(), "--data".as_ref(), folder.path().as_os_str()]);
+    let demo = Posed::start([
+        "demo".as_ref(),
+        "--exercise".as_ref(),
+        "curl".as_ref(),
+        "--data".as_ref(),
+        folder.path().as_os_str(),
+    ]);
     let done = Command::new(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/readers/client"))
         .arg(readers)
         .arg(folder.path())

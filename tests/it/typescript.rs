@@ -23,6 +23,7 @@ async fn it_streams_asks_is_refused_and_misses_no_event_of_a_broken_connection()
     let compiled =
         Command::new(compiler).arg("--outDir").arg(build.path()).current_dir(&folder).output().unwrap();
     assert!(compiled.status.success(), "{}", String::from_utf8_lossy(&compiled.stdout));
+    plays_a_take_in_the_place_of_a_stage(&folder, &build.path().join("index.js"));
     let posed = Posed::start(["demo"]);
     let seen = Command::new("node")
         .arg("test/live.mjs")
@@ -49,4 +50,32 @@ async fn it_streams_asks_is_refused_and_misses_no_event_of_a_broken_connection()
     assert_eq!(seen["states"], json!(["connecting", "open", "lost", "connecting", "open"]));
     assert_eq!((&seen["done"], &seen["closed"]), (&json!(true), &json!("lost")));
     assert_eq!(posed.end("TERM").await.code(), Some(0));
+}
+
+/// Without a daemon.
+fn plays_a_take_in_the_place_of_a_stage(folder: &Path, client: &Path) {
+    let seen = Command::new("node").arg("test/mock.mjs").arg(client).current_dir(folder).output().unwrap();
+    assert!(seen.status.success(), "{}", String::from_utf8_lossy(&seen.stderr));
+    let seen: Value = serde_json::from_slice(&seen.stdout).unwrap();
+    for played in [&seen["fast"], &seen["timed"]] {
+        assert_eq!(played["topics"], json!(["sensors", "marks"]));
+        assert_eq!(played["stage"][1], json!({"name": "wand", "device": "flock", "magnetic": true}));
+        assert_eq!((&played["refused"], &played["marks"]), (&json!([true, "mock"]), &json!([1, 2])));
+        assert_eq!(played["states"], json!(["connecting", "open"]));
+        // A second at 20 Hz of 100, with one sensor of two, numbered anew.
+        let numbers: Vec<usize> = serde_json::from_value(played["seq"].clone()).unwrap();
+        assert!(
+            (19..=22).contains(&numbers.len()) && numbers.iter().copied().eq(0..numbers.len()),
+            "{numbers:?}"
+        );
+        let first = &played["first"];
+        assert_eq!((&first["t_s"], &first["dropped"]), (&json!(290), &json!(0)));
+        assert_eq!(first["sensors"].as_array().unwrap().len(), 1);
+    }
+    // 1.2 s, four times as fast.
+    assert!(seen["timed"]["ms"].as_f64().unwrap() > 250.0, "{seen}");
+    assert_eq!(
+        seen["why"],
+        json!([null, "line 204 is no message", "line 204 is no message", "line 204 is no message"])
+    );
 }

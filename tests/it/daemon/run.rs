@@ -139,3 +139,16 @@ async fn nor_does_that_of_a_stage_file() {
     std::fs::remove_dir_all(folder.path().join("recordings")).unwrap();
     assert_eq!(left(folder.path()), before);
 }
+
+/// Who writes a trainer sees counts without a person, and without teaching.
+#[tokio::test]
+async fn the_demos_person_does_an_exercise_that_is_counted_listed_and_shown() {
+    let posed = Posed::start(["demo", "--exercise", "squat"]);
+    let mut client = posed.subscriber(&["exercise"]).await;
+    assert_eq!(ok(&mut client, json!({"type": "exercise.list"})).await["exercises"][0]["name"], "squat");
+    let shown = ok(&mut client, json!({"type": "exercise.demonstration", "exercise": "squat"})).await;
+    assert!(shown["angles"].as_array().unwrap().contains(&json!("knee_r_flexion_deg")), "{shown}");
+    let counted = until(&mut client, "a repetition", |message| message["event"] == "counted").await;
+    assert_eq!((&counted["exercise"], &counted["count"]), (&json!("squat"), &json!(1)));
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+}

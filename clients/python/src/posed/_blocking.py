@@ -12,6 +12,7 @@ from . import _subscriptions as wanted
 from ._inboxes import BlockingInbox
 from ._link import Link, Subscription
 from ._linked import Linked
+from ._mock import Speed
 from ._requests import BlockingRequests
 from ._schema import DropPolicy, Field, Job, ServerMessage, Started
 from .errors import Disconnected
@@ -76,10 +77,10 @@ class Stream(Iterator[T], Generic[T]):
 class Connection(Linked, BlockingRequests):
     """A connection to a running stage that lasts: it reconnects by itself, and asks for the events that were missed."""
 
-    def __init__(self, address: str, token: str | None, reconnect: bool, timeout_s: float) -> None:
+    def __init__(self, address: str, token: str | None, reconnect: bool, timeout_s: float, speed: Speed) -> None:
         self._loop = _Loop()
         try:
-            self._link = self._loop.run(_opened(address, token, reconnect, timeout_s))
+            self._link = self._loop.run(_opened(address, token, reconnect, timeout_s, speed))
         except BaseException:
             self._loop.end()
             raise
@@ -152,16 +153,19 @@ class Connection(Linked, BlockingRequests):
             jobs.close()
 
 
-async def _opened(address: str, token: str | None, reconnect: bool, timeout_s: float) -> Link:
-    link = Link(address, token, reconnect)
+async def _opened(address: str, token: str | None, reconnect: bool, timeout_s: float, speed: Speed) -> Link:
+    link = Link(address, token, reconnect, speed)
     await link.open(timeout_s)
     return link
 
 
-def connect(address: str, *, token: str | None = None, reconnect: bool = True, timeout_s: float = 5.0) -> Connection:
+def connect(address: str, *, token: str | None = None, reconnect: bool = True, timeout_s: float = 5.0, speed: Speed = 1.0) -> Connection:
     """Connects to a daemon; `with connect(...) as stage` ends it.
 
     `address` is HOST:PORT, the address of its page, that of a hub's stage or of a take (`http://HOST:8787/takes/NAME/`), or that of a websocket. `timeout_s`: how long
     it tries at first. Without `reconnect` what is iterated ends with the connection.
+
+    A file in its place is played without a daemon: `take.jsonl`, as `posed export take.mcap --to jsonl` writes it, or a recording that holds messages. It begins with the first
+    subscription, goes at `speed` (`"max"`: as fast as it can), and what is iterated ends with `Disconnected`.
     """
-    return Connection(address, token, reconnect, timeout_s)
+    return Connection(address, token, reconnect, timeout_s, speed)

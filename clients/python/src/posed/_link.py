@@ -19,6 +19,7 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 from websockets.typing import Subprotocol
 
 from ._address import websocket_of
+from ._mock import Speed, take_at
 from ._schema import EVENT_TOPICS, Hello
 from .errors import Disconnected, PosedError, Refused, Unauthorised
 
@@ -78,12 +79,14 @@ class Subscription:
 class Link:
     """A connection that lasts."""
 
-    def __init__(self, address: str, token: str | None, reconnect: bool) -> None:
-        self.url = websocket_of(address)
+    def __init__(self, address: str, token: str | None, reconnect: bool, speed: Speed) -> None:
+        self._mock = take_at(address, speed)
+        self.url = address if self._mock else websocket_of(address)
         self.hello: Hello | None = None
         self.epoch_utc = np.datetime64(0, "ns")
         self._headers = {} if token is None else {"Authorization": f"Bearer {token}"}
-        self._reconnect = reconnect
+        # A file that is over does not begin again.
+        self._reconnect = reconnect and self._mock is None
         self._socket: ClientConnection | None = None
         self._decode = msgspec.msgpack.Decoder().decode
         self._encode = msgspec.msgpack.Encoder().encode
@@ -104,6 +107,8 @@ class Link:
 
     async def open(self, timeout_s: float) -> None:
         """Connects; returns once the daemon has said who it is."""
+        if self._mock:
+            self.url = await self._mock.start()
         self._task = asyncio.create_task(self._stay())
         greeted = asyncio.create_task(self._greeted.wait())
         try:
@@ -124,6 +129,8 @@ class Link:
         if self._task:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
+        if self._mock:
+            await self._mock.end()
         self._lose(self._ended, for_good=True)
 
     @property

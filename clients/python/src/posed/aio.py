@@ -15,6 +15,7 @@ from . import _subscriptions as wanted
 from ._inboxes import AwaitedInbox
 from ._link import Link, Subscription
 from ._linked import Linked
+from ._mock import Speed
 from ._requests import AwaitedRequests
 from ._schema import DropPolicy, Field, Job, ServerMessage, Started
 from .frames import BodyFrame, SensorsFrame
@@ -59,8 +60,8 @@ class Stream(AsyncIterator[T], Generic[T]):
 class Connection(Linked, AwaitedRequests):
     """A connection to a running stage that lasts: it reconnects by itself, and asks for the events that were missed."""
 
-    def __init__(self, address: str, token: str | None, reconnect: bool, timeout_s: float) -> None:
-        self._link = Link(address, token, reconnect)
+    def __init__(self, address: str, token: str | None, reconnect: bool, timeout_s: float, speed: Speed) -> None:
+        self._link = Link(address, token, reconnect, speed)
         self._timeout_s = timeout_s
 
     def __await__(self) -> Generator[Any, None, Connection]:
@@ -131,10 +132,13 @@ class Connection(Linked, AwaitedRequests):
         raise AssertionError("a stream ends with an exception")
 
 
-def connect(address: str, *, token: str | None = None, reconnect: bool = True, timeout_s: float = 5.0) -> Connection:
+def connect(address: str, *, token: str | None = None, reconnect: bool = True, timeout_s: float = 5.0, speed: Speed = 1.0) -> Connection:
     """Connects to a daemon: `async with connect(...) as stage`, or `stage = await connect(...)`.
 
     `address` is HOST:PORT, the address of its page, that of a hub's stage or of a take (`http://HOST:8787/takes/NAME/`), or that of a websocket. `timeout_s`: how long
     it tries at first. Without `reconnect` what is iterated ends with the connection.
+
+    A file in its place is played without a daemon: `take.jsonl`, as `posed export take.mcap --to jsonl` writes it, or a recording that holds messages. It begins with the first
+    subscription, goes at `speed` (`"max"`: as fast as it can), and what is iterated ends with `Disconnected`.
     """
-    return Connection(address, token, reconnect, timeout_s)
+    return Connection(address, token, reconnect, timeout_s, speed)
