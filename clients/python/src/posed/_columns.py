@@ -173,6 +173,8 @@ def gathered(lines: Iterable[bytes]) -> Columns:
             body_rows.add(decode_body(line))
         elif decode_kind(line).type in EVENT_TOPICS:
             events.append(json.loads(line))
+    # A recording that holds messages has those of an instant by their topics.
+    events.sort(key=lambda event: event["event_id"])
     # Names are complete once all rows are.
     numbers = {**sensors_rows.whole(), **body_rows.whole()}
     header = {
