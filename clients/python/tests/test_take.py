@@ -6,7 +6,9 @@ import csv
 import json
 import os
 import pathlib
+import shutil
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -134,3 +136,61 @@ def test_what_is_no_recording_is_refused(tmp_path: pathlib.Path) -> None:
     file.write_bytes(b"no recording at all")
     with pytest.raises(posed.PosedError, match="no recording"):
         posed.read(file)
+
+
+def test_parquet_has_the_tables_for_any_reader(take: pathlib.Path, tmp_path: pathlib.Path) -> None:
+    import pyarrow.parquet as pq  # type: ignore[import-untyped]
+
+    found = posed.read(take, frames="numpy")
+    folder = found.write_parquet(tmp_path / "take")
+    for name in ("sensors", "measured", "body", "events", "labels"):
+        table, columns = pq.read_table(folder / f"{name}.parquet"), found.table(name)
+        assert table.column_names == list(columns) and table.num_rows == len(next(iter(columns.values()))), name
+        for column, values in columns.items():
+            theirs = table[column].to_numpy(zero_copy_only=False)
+            same = (theirs == values) if values.dtype == object else np.isclose(theirs, values, rtol=0, atol=0, equal_nan=True)
+            assert np.all(same), (name, column)
+        assert pq.read_metadata(folder / f"{name}.parquet").metadata[b"epoch_utc"].endswith(b"Z")
+
+
+def validated(root: pathlib.Path) -> list[str]:
+    """The codes of the errors that BIDS' own validator finds."""
+    program = pathlib.Path(sys.executable).with_name("bids-validator-deno")
+    done = subprocess.run([str(program), "--json", "--ignoreWarnings", str(root)], capture_output=True, text=True, check=False)
+    issues = json.loads(done.stdout)["issues"]["issues"]
+    errors = [issue["code"] for issue in issues if issue["severity"] == "error"]
+    assert (done.returncode == 0) == (not errors), done
+    return errors
+
+
+def test_motion_bids_is_what_its_validator_accepts(take: pathlib.Path, tmp_path: pathlib.Path) -> None:
+    found, root = posed.read(take, frames="numpy"), tmp_path / "study"
+    folder = found.write_bids(root, subject="01", task="curls", run=1)
+    found.write_bids(root, subject="02", task="curls", session="a")
+    assert validated(root) == []
+    # And finds what is not right.
+    broken = tmp_path / "broken"
+    shutil.copytree(root, broken)
+    (broken / "sub-01/motion/sub-01_task-curls_tracksys-body_run-01_channels.tsv").unlink()
+    assert validated(broken)
+
+    stem = folder / "sub-01_task-curls_tracksys-body_run-01"
+    names = [row["name"] for row in csv.DictReader(open(f"{stem}_channels.tsv"), delimiter="\t")]
+    rows = np.genfromtxt(f"{stem}_motion.tsv", delimiter="\t", missing_values="n/a", filling_values=np.nan)
+    body = found.body
+    t_s = body["t_s"]
+    assert rows.shape == (len(t_s), len(names))
+    assert np.allclose(rows[:, names.index("latency")], t_s - t_s[0], atol=1e-6)
+    assert np.allclose(rows[:, names.index("elbow_r_flexion")], body["elbow_r_flexion_deg"], atol=1e-5, equal_nan=True)
+    shown = np.isin(body["torso_state"].astype(str), ("ok", "inferred"))
+    assert np.allclose(rows[shown][:, names.index("torso_quat_w")], body["torso_qw"][shown], atol=1e-5)
+    with open(folder / "sub-01_task-curls_run-01_events.tsv") as file:
+        assert [(row["trial_type"], row["value"]) for row in csv.DictReader(file, delimiter="\t")].count(("mark", "half")) == 1
+    with open(root / "participants.tsv") as file:
+        assert [row["participant_id"] for row in csv.DictReader(file, delimiter="\t")] == ["sub-01", "sub-02"]
+
+    for bad, why in (({"subject": "0 1"}, "letters"), ({"subject": "01", "task": "a-b"}, "letters"), ({"subject": "01", "run": 0}, "from 1"), ({"subject": "01", "body": "nobody"}, "no body")):
+        with pytest.raises(ValueError, match=why):
+            found.write_bids(root, **{"task": "curls", **bad})  # type: ignore[arg-type]
+    with pytest.raises(FileExistsError, match="already"):
+        found.write_bids(root, subject="01", task="curls", run=1)

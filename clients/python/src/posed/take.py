@@ -54,6 +54,7 @@ _Columns: TypeAlias = dict[str, npt.NDArray[Any] | Coded]
 Make: TypeAlias = Callable[[_Columns], Any]
 
 XYZ, WXYZ = "xyz", "wxyz"
+TABLES = ("sensors", "measured", "body", "events", "labels")
 
 
 class Take(Generic[F]):
@@ -117,6 +118,37 @@ class Take(Generic[F]):
         from ._plot import plot
 
         return plot(self, columns)
+
+    def write_parquet(self, folder: str | os.PathLike[str]) -> pathlib.Path:
+        """Writes each table as a Parquet file of its name, `body.parquet` and so on, zipped with Zstandard; the folder. Needs polars.
+
+        Every file has `stage` and `epoch_utc`, from which `t_s` counts, in its metadata.
+        """
+        into = pathlib.Path(folder)
+        into.mkdir(parents=True, exist_ok=True)
+        said = {"stage": self.stage, "epoch_utc": self._columns.header["epoch_utc"]}
+        for name in TABLES:
+            _polars(self._table(name)).write_parquet(into / f"{name}.parquet", compression="zstd", metadata=said)
+        return into
+
+    def write_bids(
+        self,
+        root: str | os.PathLike[str],
+        *,
+        subject: str,
+        task: str,
+        session: str | None = None,
+        run: int | None = None,
+        body: str | None = None,
+    ) -> pathlib.Path:
+        """Adds it to a data set of Motion-BIDS at `root`, which it begins where there is none; the folder of its files. Needs polars.
+
+        `subject`, `task` and `session` are labels of BIDS, letters and digits. The solved body, the poses of sensors and the IMUs' own measurements are tracking systems of their own; marks, labels and
+        repetitions are its events. Of several bodies `body` says whose it is.
+        """
+        from ._bids import write
+
+        return write(self, pathlib.Path(root), subject, task, session, run, body)
 
     def _sensors(self) -> _Columns:
         found, names = self._columns.numbers, self._columns.header["sensors"]
