@@ -76,6 +76,9 @@ fn additions(port: &FoundPort, driver: &str, taken: &mut Vec<String>) -> Vec<Cha
         if let Some(addressing @ (Addressing::Expanded | Addressing::SuperExpanded)) = port.addressing {
             set("addressing", json!(addressing));
         }
+        if let Some(family) = port.family {
+            set("family", json!(family));
+        }
     }
     // The device lists who its trackers are, and its sensors have their places in that list.
     let list = match driver {
@@ -115,9 +118,6 @@ pub fn free(name: &str, taken: &[String]) -> String {
 }
 
 /// The same, which is taken from now on.
-        if let Some(family) = port.family {
-            set("family", json!(family));
-        }
 fn take(name: &str, taken: &mut Vec<String>) -> String {
     let found = free(name, taken);
     taken.push(found.clone());
