@@ -75,6 +75,8 @@ struct Figures {
     contacts: f64,
     thigh: f64,
     upper_arm: f64,
+    /// For how long a sensor was named that does not fit, s: all of them do.
+    named_s: f64,
 }
 
 /// Sums of squared errors of a body's angles.
@@ -254,6 +256,7 @@ fn solve(
         let off = estimate.orientations[pelvis].unwrap_or_default() * truth[pelvis].inverse();
         let heading_rad = so3::log(&off).z.abs();
         figures.heading = heading_rad.to_degrees();
+        figures.named_s += f64::from(u8::from(estimate.faults.iter().any(Option::is_some))) / RATE_HZ;
         figures.heading_sigmas = figures.heading_sigmas.max(heading_rad / estimate.heading_sigma_rad);
         let hips_m = [room() * at.body[pelvis].origin_m, estimate.pelvis_m(skeleton)];
         let t_s = at.t_s - begin_s;
@@ -321,9 +324,9 @@ pub(super) fn table() {
         return;
     }
     emit(&format!(
-        "\n| recorded people, {minutes} minutes each | legs | arms | knee, elbow, pronation | headings between segments | heading at the end | most, sigmas | way, m | its error, % | walking, running, within clips, % | slide, mm | in truth | contacts | thigh, % | upper arm, % | Euler limbs: legs | arms | headings |"
+        "\n| recorded people, {minutes} minutes each | legs | arms | knee, elbow, pronation | headings between segments | heading at the end | most, sigmas | way, m | its error, % | walking, running, within clips, % | slide, mm | in truth | contacts | thigh, % | upper arm, % | named in vain, s | Euler limbs: legs | arms | headings |"
     ));
-    emit("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
+    emit("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
     let mut all: Vec<Figures> = Vec::new();
     for (seed, (name, take)) in people.iter().enumerate() {
         if only.is_some_and(|only| !name.contains(only.as_str())) {
@@ -372,7 +375,7 @@ fn row(name: &str, all: &[Figures]) -> String {
         }
     });
     format!(
-        "| {name} | {:.2} | {:.2} | {:.1}, {:.1}, {:.1} | {:.2} | {:.1} | {:.1} | {:.0} | {:.1} | {}, {} | {:.0} | {:.1} | {:.0} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} |",
+        "| {name} | {:.2} | {:.2} | {:.1}, {:.1}, {:.1} | {:.2} | {:.1} | {:.1} | {:.0} | {:.1} | {}, {} | {:.0} | {:.1} | {:.0} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} |",
         median(&|f| f.legs),
         median(&|f| f.arms),
         median(&|f| f.hinges[0]),
@@ -390,6 +393,7 @@ fn row(name: &str, all: &[Figures]) -> String {
         median(&|f| f.contacts),
         median(&|f| f.thigh),
         median(&|f| f.upper_arm),
+        median(&|f| f.named_s),
         median(&|f| f.euler[0]),
         median(&|f| f.euler[1]),
         median(&|f| f.euler[2]),

@@ -23,8 +23,9 @@ const NORTH: FieldReference =
 /// middle of a movement. It finds no way back, and begins anew.
 const ASTRAY_RAD: f64 = 0.5;
 const ASTRAY_S: f64 = 1.0;
-/// A sensor that does not fit for so long, s, has slipped; then so long is waited for what its movements show.
-const LOOSE_S: f64 = 0.5;
+/// A sensor that is said not to fit for so long, s, has slipped: it is said for a second longer than it is so, and what a joint does that is no hinge, or a blow, is over by
+/// then. Then so long is waited for what its movements show.
+const LOOSE_S: f64 = 4.0;
 const PATIENCE_S: f64 = 20.0;
 /// A mounting that is known so well again has been found, rad.
 const FOUND_RAD: f64 = 0.12;
