@@ -26,6 +26,9 @@ const ASTRAY_S: f64 = 1.0;
 /// A sensor that is said not to fit for so long, s, has slipped: it is said for a second longer than it is so, and what a joint does that is no hinge, or a blow, is over by
 /// then. Then so long is waited for what its movements show.
 const LOOSE_S: f64 = 4.0;
+/// What does not fit in the first seconds of a limb, s, is how it began, in the middle of a movement: after so long of it, s, it begins anew.
+const YOUNG_S: f64 = 10.0;
+const BEGUN_WRONG_S: f64 = 1.5;
 const PATIENCE_S: f64 = 20.0;
 /// A mounting that is known so well again has been found, rad.
 const FOUND_RAD: f64 = 0.12;
@@ -120,6 +123,8 @@ pub(super) struct LimbFilter {
     astray_s: f64,
     /// For so long the sensor of the upper and of the lower segment has not fitted, s.
     loose_s: [f64; 2],
+    /// How long ago it began, s, as long as that is not long ago.
+    young_s: Option<f64>,
     /// From when a strap was taken for slipped until it is known again how both sensors sit.
     mending: Option<Mending>,
     /// Whether a strap was ever taken for slipped: what is learnt since is no error of the pose.
@@ -143,6 +148,7 @@ impl LimbFilter {
             offsets_rad_s: [Vector3::zeros(); 2],
             astray_s: 0.0,
             loose_s: [0.0; 2],
+            young_s: None,
             mending: None,
             slipped: false,
             filter: Filter::Waiting,
@@ -210,7 +216,15 @@ impl LimbFilter {
     pub(super) fn watch(&mut self, which: usize, misfit: bool, dt_s: f64) {
         let loose_s = &mut self.loose_s[which];
         *loose_s = if misfit { *loose_s + dt_s } else { 0.0 };
-        let slipped = *loose_s > LOOSE_S || with_limb!(&self.filter, false, limb => limb.slipped());
+        let loose_s = *loose_s;
+        // Both sensors are looked at.
+        self.young_s = self.young_s.map(|ago_s| ago_s + 0.5 * dt_s).filter(|ago_s| *ago_s < YOUNG_S);
+        if self.young_s.is_some() && self.mending.is_none() && loose_s > BEGUN_WRONG_S {
+            self.loose_s = [0.0; 2];
+            self.restart();
+            return;
+        }
+        let slipped = loose_s > LOOSE_S || with_limb!(&self.filter, false, limb => limb.slipped());
         let is_found = self.is_found();
         match &mut self.mending {
             None if slipped => self.loosen(),
@@ -296,6 +310,7 @@ impl LimbFilter {
     /// Begins as soon as both sensors have an orientation.
     fn begin(&mut self, base: &Base, own: [Option<UnitQuaternion<f64>>; 2]) {
         let [Some(upper), Some(lower)] = own else { return };
+        self.young_s.get_or_insert(0.0);
         let [_, _, segment] = self.limb.segments();
         let rotation = upper.inverse() * lower;
         let q = base.q_room_base.inverse() * upper;
