@@ -133,6 +133,24 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
     browser.click("tab-watch").await;
     posed.signal("STOP");
     browser.until(DATA_OLD).await;
+    // What is old stays as easy to read, in light and dark.
+    console::prepare_for_axe(&mut browser).await;
+    let faded = "getComputedStyle(document.querySelector('#watch canvas')).opacity === '0.45'";
+    assert_eq!(browser.value(faded).await, true);
+    let leans =
+        "getComputedStyle(document.getElementById('sensors').rows[0].cells[4]).fontStyle === 'italic'";
+    for (view, theme) in [("watch", "dark"), ("check", "dark"), ("check", "light"), ("analyse", "light")] {
+        browser.click(&format!("tab-{view}")).await;
+        browser.fill("#theme", theme).await;
+        assert_eq!(console::barriers(&mut browser).await, Vec::<String>::new(), "{view}, {theme}");
+    }
+    assert_eq!(browser.value(leans).await, true);
+    browser.click("tab-check").await;
+    browser
+        .until("document.getElementById('findings').textContent.includes('all that is shown is old')")
+        .await;
+    assert_eq!(browser.value("document.getElementById('all-well')").await, serde_json::Value::Null);
+    browser.click("tab-watch").await;
     posed.signal("CONT");
     browser.until(LIVE).await;
     // Put away, it draws nothing; brought back, it is current at once.

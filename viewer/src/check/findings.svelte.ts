@@ -43,8 +43,11 @@ export function findings(text: Text): Finding[] {
     const way = WAYS[code];
     return { key: `daemon ${i} ${code}`, grave: code === "recording" ? "bad" : "care", says: text.daemon.problem(problem) ?? message, ...(way ? { way } : {}) };
   });
+  // Of what is old nobody knows whether it still holds. A take may stand.
+  if (!status.replay && live.linkState !== "open") found.push({ key: "lost", grave: "bad", says: text.page.lost(live.linkWhy) });
+  else if (!status.replay && live.old_s !== null) found.push({ key: "old", grave: "bad", says: check.old(live.old_s) });
   for (const { name, state, reason } of status.devices) {
-    if (reason) found.push({ key: `device ${name}`, grave: state === "failed" ? "bad" : "care", says: `${name}: ${reason}` });
+    if (reason) found.push({ key: `device ${name}`, grave: state === "failed" ? "bad" : "care", says: `${name}: ${text.daemon.device(state, reason)}` });
     const refused = model.refused.get(name) ?? 0;
     if (refused > DAMAGED) found.push({ key: `damaged ${name}`, grave: "care", says: check.damaged(name, num(100 * refused, 1)) });
   }
