@@ -252,8 +252,14 @@ impl Browser {
         }
         // So that curves and trails have something to show.
         self.pause(Duration::from_secs(6)).await;
-        self.until(expression).await;
-        let shot = self.call("Page.captureScreenshot", json!({"format": "png"})).await;
+        // A picture takes its time, too: what it shows was so before and after.
+        let shot = loop {
+            self.until(expression).await;
+            let shot = self.call("Page.captureScreenshot", json!({"format": "png"})).await;
+            if self.value(expression).await == true {
+                break shot;
+            }
+        };
         let bytes = base64(shot["data"].as_str().unwrap());
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/pictures");
         std::fs::create_dir_all(&folder).unwrap();

@@ -17,16 +17,21 @@ class Happenings {
   constructor() {
     model.listen((message) => {
       if (message.type === "hello") this.name = null;
-      if (message.type === "status" && message.replay && message.replay.name !== this.name) {
-        this.name = message.replay.name;
-        this.set(null);
-        this.ask(false).catch(() => {});
-      }
+      if (message.type === "status") this.open(message.replay?.name ?? null);
       if (message.type === "jobs" && message.jobs.some(({ job, state }) => job === this.job && state !== "running")) {
         this.job = NaN;
         this.ask(false).catch(() => {});
       }
     });
+    // What came before this was made.
+    this.open(live.status?.replay?.name ?? null);
+  }
+
+  private open(name: string | null): void {
+    if (name === null || name === this.name) return;
+    this.name = name;
+    this.set(null);
+    this.ask(false).catch(() => {});
   }
 
   /** Has it found out, by a job. */
