@@ -1,4 +1,4 @@
-//! A server for many stages: each has its page, its websocket and its metrics below its name, as if it were alone; the server itself
+//! A server for many stages: each has its page, its websocket, its metrics and its recordings below its name, as if it were alone; the server itself
 //! has a page and a websocket for all of them.
 //!
 //! In: items of stages with the stamps they got there. Out: the same messages as at the stages. Never: anything that changes a stage.
