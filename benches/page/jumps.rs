@@ -18,7 +18,7 @@ const PATIENCE_S: u32 = 4;
 pub(crate) async fn run(served: &Served) {
     let url = format!("{}#watch", served.url);
     let mut browser = Browser::open_on(Screen::Full, &url, Some(PROBE)).await;
-    browser.until("document.getElementById('timeline')?.ariaValueMax > 10 && probe.messages() > 100").await;
+    browser.until("document.getElementById('timeline')?.ariaValueMax > 10 && probe.messages() > 100 && probe.first_ms() !== null").await;
     println!(
         "from opening the page to the first picture: {:.0} ms",
         browser.value("probe.first_ms()").await.as_f64().unwrap()

@@ -337,6 +337,15 @@ name = "worn"
 boot_ms = 0.0
 "#;
 
+/// Whoever presses before the page is connected is heard: it hears of its connection only then.
+const AT_ONCE: &str = "let release; const pressed = new Promise((resolve) => (release = resolve)); \
+    window.WebSocket = class extends WebSocket { \
+        set onopen(heard) { super.onopen = (event) => pressed.then(() => heard(event)); } \
+        set onmessage(heard) { super.onmessage = (event) => pressed.then(() => heard(event)); } }; \
+    const waits = new MutationObserver(() => { const button = document.getElementById('calibrate-body'); \
+        if (button) { waits.disconnect(); button.click(); release(); } }); \
+    if (self === top) addEventListener('DOMContentLoaded', () => waits.observe(document, { childList: true, subtree: true }))";
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_chain_is_calibrated_in_the_browser_and_its_hinge_drawn() {
     if !chromium::is_wanted() {
@@ -347,10 +356,7 @@ async fn a_chain_is_calibrated_in_the_browser_and_its_hinge_drawn() {
     std::fs::write(&stage, leg::STAGE.replace("/dev/none", "auto") + LINKS).unwrap();
     write_links(&folder.path().join("links.csv"));
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
-    // Whoever presses before the page is connected is heard.
-    let at_once = "const press = () => document.getElementById('calibrate-body').click(); \
-        if (self === top) addEventListener('DOMContentLoaded', press)";
-    let mut browser = Browser::open_with(&format!("http://{}/#calibrate", posed.address), at_once).await;
+    let mut browser = Browser::open_with(&format!("http://{}/#calibrate", posed.address), AT_ONCE).await;
     browser.until("/^[12] of 2/.test(document.getElementById('prompt').textContent)").await;
     let (step, end) = ("2 of 2: Bend every hinge", "axes of the chain are known");
     if !carried_out(&mut browser, CALIBRATE, step, end).await {

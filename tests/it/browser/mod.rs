@@ -112,7 +112,8 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
         .until("document.getElementById('body-summary').textContent === 'body: 10 of 10 segments measured'")
         .await;
     browser.until(PAINTED).await;
-    browser.picture_when("stage", all_good).await;
+    let nothing_to_do = "document.querySelector('#tab-check .badge') === null";
+    browser.picture_when("stage", &format!("{all_good} && {nothing_to_do}")).await;
     // The therapist's picture, and the angles behind it.
     browser.click("tab-coach").await;
     browser.until(&PAINTED.replace("#watch", "#avatar")).await;
