@@ -816,14 +816,14 @@ export type Exercises = {
   exercises: KeptExercise[];
 };
 
+/** A family of units that share commands, words and error codes. */
+export type Family = "flock" | "3d-guidance";
+
 /** Why a measurement, or a sensor, is not simply good. */
 export type FaultCause = "hemisphere_inversion" | "vertical_inversion" | "stuck" | "gate" | "missing" | "not_finite" | "saturated" | "misfit" | "swapped" | "jump" | "bone" | "map" | "distance";
 
 /** What a measurement, or a frame, is. */
 export type FaultClass = "clean" | "inverted" | "anomalous" | "unknown";
-
-/** A family of units that share commands, words and error codes. */
-export type Family = "flock" | "3d-guidance";
 
 /** What every data message starts with, and its body. */
 export type FaultMessage = ({
@@ -1058,14 +1058,14 @@ export type FoundPort = {
   device?: string | null;
   /** The driver that understands what is there; null where nothing answers. */
   driver: string | null;
+  /** Which of Ascension's units it is, where it is no Flock of Birds. */
+  family?: Family | null;
   /** What to do about it. */
   fix: string | null;
   /** Port of this computer that the device sends to, where it has a certain one. */
   local_port?: number | null;
   /** Model as the unit writes it. */
   model: string | null;
-  /** Which of Ascension's units it is, where it is no Flock of Birds. */
-  family?: Family | null;
   /** The port as a stage file names it. */
   port: string;
   /** What is wrong. */

@@ -1666,6 +1666,10 @@ class Exercises(TypedDict):
     """By name."""
 
 
+Family: TypeAlias = 'Literal["flock", "3d-guidance"]'
+"""A family of units that share commands, words and error codes."""
+
+
 FaultCause: TypeAlias = 'Literal["hemisphere_inversion", "vertical_inversion", "stuck", "gate", "missing", "not_finite", "saturated", "misfit", "swapped", "jump", "bone", "map", "distance"]'
 """Why a measurement, or a sensor, is not simply good."""
 
@@ -1678,10 +1682,6 @@ class FaultMessageFault(TypedDict):
     """A fault began or ended."""
 
     active: bool
-Family: TypeAlias = 'Literal["flock", "3d-guidance"]'
-"""A family of units that share commands, words and error codes."""
-
-
     """Whether it began or ended."""
 
     cause: FaultCause
@@ -2173,6 +2173,9 @@ class FoundPort(TypedDict):
     driver: str | None
     """The driver that understands what is there; null where nothing answers."""
 
+    family: NotRequired[Family | None]
+    """Which of Ascension's units it is, where it is no Flock of Birds."""
+
     fix: str | None
     """What to do about it."""
 
@@ -2184,9 +2187,6 @@ class FoundPort(TypedDict):
 
     port: str
     """The port as a stage file names it."""
-
-    family: NotRequired[Family | None]
-    """Which of Ascension's units it is, where it is no Flock of Birds."""
 
     problem: str | None
     """What is wrong."""
