@@ -1,6 +1,7 @@
 //! Recorded people in a suit without a compass: the table *Recorded people* of `docs/body.md`.
 //!
-//! `cargo bench --bench body people`, with part of a name for those people alone, `minutes=10` for longer runs, and `write=FOLDER` for the samples and the truth as CSV.
+//! `cargo bench --bench body people`, with part of a name for those people alone, `minutes=10` for longer runs, `skin=0.5` for sensors that play on the skin (mm per m/s², and 2 rad
+//! per m), `strap=2` for straps that wander (degrees), and `write=FOLDER` for the samples and the truth as CSV.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -174,12 +175,12 @@ fn room() -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -FACING_RAD)
 }
 
-fn calibrated(build: Build, seed: u64) -> Result<Suit, String> {
+fn calibrated(build: Build, errors: SensorErrors, seed: u64) -> Result<Suit, String> {
     let script = Script { activity: Activity::Bends, calibration: false, facing: FACING_RAD, mistake: None };
     let mut wearer = Wearer::new(WearerSpec {
         script,
         build,
-        errors: SensorErrors::calibrated(),
+        errors,
         magnetometer: false,
         disturbances: Vec::new(),
         rate_hz: RATE_HZ,
@@ -211,12 +212,13 @@ fn calibrated(build: Build, seed: u64) -> Result<Suit, String> {
 
 fn solve(
     take: &Arc<Take>,
+    errors: SensorErrors,
     seed: u64,
     minutes: f64,
     mut table: Option<&mut Table>,
 ) -> Result<Figures, String> {
     let build = take.build();
-    let mut suit = calibrated(build, seed)?;
+    let mut suit = calibrated(build, errors, seed)?;
     let skeleton = Skeleton::from_height(HEIGHT_M);
     let mut filter = BodyFilter::new(&skeleton, &suit.mounts, &BodyParams::default());
     let mut euler = EulerBody::new(&skeleton, &suit.mounts, &BodyParams::default());
@@ -313,7 +315,11 @@ fn solve(
 pub(super) fn table() {
     let words: Vec<String> = std::env::args().skip(2).collect();
     let option = |key: &str| words.iter().find_map(|word| word.strip_prefix(key).map(str::to_owned));
-    let minutes: f64 = option("minutes=").and_then(|minutes| minutes.parse().ok()).unwrap_or(2.0);
+    let number = |key: &str| option(key).and_then(|number| number.parse::<f64>().ok());
+    let minutes = number("minutes=").unwrap_or(2.0);
+    let skin_m = 1e-3 * number("skin=").unwrap_or_default();
+    let strap_rad = number("strap=").unwrap_or_default().to_radians();
+    let errors = SensorErrors { skin_m, skin_rad_m: 2.0, strap_rad, ..SensorErrors::calibrated() };
     let folder = option("write=").map(PathBuf::from);
     let only = words.iter().find(|word| !word.contains('=') && !word.starts_with('-'));
     let people = people();
@@ -340,7 +346,7 @@ pub(super) fn table() {
             }
         };
         let mut table = folder.as_ref().map(|_| Table::new(&take.build()));
-        match solve(take, seed as u64 + 1, minutes, table.as_mut()) {
+        match solve(take, errors, seed as u64 + 1, minutes, table.as_mut()) {
             Ok(figures) => {
                 emit(&row(name, &[figures]));
                 all.push(figures);
