@@ -52,14 +52,15 @@ impl Asked<'_> {
         http::refuse(self.context, "file", (status, sentence))
     }
 
-    fn admitted(&self) -> Result<(), Response> {
+    /// Who may not look at the stage gets this instead.
+    fn refusal(&self) -> Option<Response> {
         let admitted = http::admit(self.context, self.headers, self.uri, self.slot.as_deref());
-        admitted.map(drop).map_err(|(reason, refusal)| http::refuse(self.context, reason, refusal))
+        admitted.err().map(|(reason, refusal)| http::refuse(self.context, reason, refusal))
     }
 
     /// The list, as JSON.
     pub(super) async fn list(self, recordings: Arc<dyn RemoteRecordings>) -> Response {
-        if let Err(refusal) = self.admitted() {
+        if let Some(refusal) = self.refusal() {
             return refusal;
         }
         match recordings.list().await.and_then(|list| serde_json::to_vec(&list).map_err(|e| e.to_string())) {
@@ -70,7 +71,7 @@ impl Asked<'_> {
 
     /// One of them.
     pub(super) async fn file(self, recordings: Arc<dyn RemoteRecordings>, name: &str) -> Response {
-        if let Err(refusal) = self.admitted() {
+        if let Some(refusal) = self.refusal() {
             return refusal;
         }
         match recordings.list().await {
