@@ -26,6 +26,14 @@ const LEAST_INTERVAL_S: f64 = 2e-3;
 /// Standard deviation of the orientation about an axis of a unit that computes it itself and does not say how good it is, rad.
 const SIGMA_OWN: f64 = 0.02;
 
+/// Steps in which browsers give angular velocities, degrees/s, and accelerations, m/s² (W3C Device Orientation and Motion); and how far from
+/// a step a value may be that has travelled as text in radians.
+const BROWSER_STEP: f64 = 0.1;
+const STEP_TOLERANCE: f64 = 1e-4;
+/// What turns and is pushed by less may lie still, rad/s and m/s²: then its noise may be below those steps.
+const STILL_RAD_S: f64 = 0.035;
+const STILL_M_S2: f64 = 0.5;
+
 /// So long a part of a record waits for the rest, in intervals of the records, and s before those are known: what waited longer
 /// is of another time.
 const WAITS_INTERVALS: f64 = 1.5;
@@ -48,6 +56,8 @@ pub(super) struct Inertial {
     began: Option<Timestamp>,
     last: Option<Oriented>,
     spikes: Spikes,
+    /// Whether all values so far were in a browser's steps.
+    in_steps: bool,
     repetition: Repetition<ImuWords>,
 }
 
@@ -94,6 +104,7 @@ impl Inertial {
             began: None,
             last: None,
             spikes: Spikes::default(),
+            in_steps: true,
             repetition: Repetition::default(),
         }
     }
@@ -134,6 +145,8 @@ impl Inertial {
         };
         let completes = self.times(measurement);
         self.has_angular_velocity |= angular_velocity_rad_s.is_some();
+        let of_gyro = angular_velocity_rad_s.into_iter().flatten().map(f64::to_degrees);
+        self.in_steps &= of_gyro.chain(specific_force_m_s2.into_iter().flatten()).all(is_in_steps);
         self.specific_force_m_s2.put(t_valid, specific_force_m_s2);
         self.linear_acceleration_m_s2.put(t_valid, linear_acceleration_m_s2);
         self.magnetic_field.put(t_valid, magnetic_field);
@@ -171,8 +184,11 @@ impl Inertial {
         let Some(oriented) = oriented else { return SUSPECT };
         self.last = Some(oriented);
         // Units without angular velocities may rest.
-        let words = inertial.words();
-        if words.is_some_and(|words| self.repetition.take(words, Evidence::Certain) == Repeats::Stuck) {
+        let repeats = inertial.words().map(|words| {
+            let evidence = if self.in_steps && is_still(&words) { Evidence::None } else { Evidence::Certain };
+            self.repetition.take(words, evidence)
+        });
+        if repeats == Some(Repeats::Stuck) {
             return Finding::new(Verdict::Dropped, Label::anomalous(Cause::Stuck));
         }
         let began = *self.began.get_or_insert(measured.t_valid);
@@ -256,6 +272,19 @@ impl Inertial {
     }
 }
 
+/// Whether a value is one of those that browsers round to.
+fn is_in_steps(value: f64) -> bool {
+    let steps = value / BROWSER_STEP;
+    (steps - steps.round()).abs() * BROWSER_STEP <= STEP_TOLERANCE
+}
+
+/// Whether a sensor may lie still: it hardly turns, and feels gravity alone.
+fn is_still(words: &ImuWords) -> bool {
+    let gravity_m_s2 = posed_geometry::GRAVITY_M_S2;
+    words.angular_velocity_rad_s.norm() < STILL_RAD_S
+        && words.acceleration_m_s2.is_some_and(|force| (force.norm() - gravity_m_s2).abs() < STILL_M_S2)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -334,6 +363,38 @@ mod tests {
                 self.rates(k);
             }
         }
+    }
+
+    /// One that lies still repeats itself where values are rounded as by a browser; one that turns, or feels nothing, is stuck all the same.
+    #[test]
+    fn a_phone_that_lies_still_is_not_stuck() {
+        let verdict = |turning_deg_s: f64, force_m_s2: [f64; 3], reading_deg_s: f64| {
+            let mut inertial = Inertial::new(false, 0.0);
+            let mut found = Verdict::Used;
+            for k in 0..100 {
+                let rate = if k < 30 { reading_deg_s } else { turning_deg_s };
+                let t = Timestamp::from_secs_f64(1.0 + 0.016 * f64::from(k));
+                let message = Measurement::Imu {
+                    angular_velocity_rad_s: Some([rate.to_radians(), 0.0, -0.2_f64.to_radians()]),
+                    specific_force_m_s2: Some(force_m_s2),
+                    linear_acceleration_m_s2: None,
+                    magnetic_field: None,
+                    orientation_wxyz: None,
+                };
+                let record = inertial.record(t, &message).expect("a record");
+                found = inertial.measure(&record, false).verdict;
+            }
+            found
+        };
+        let flat = [0.1, 0.0, 9.8];
+        assert_eq!(verdict(0.1, flat, 0.1), Verdict::Used);
+        assert_eq!(verdict(30.0, flat, 0.1), Verdict::Dropped, "it turns, and repeats itself");
+        assert_eq!(verdict(0.0, [0.0; 3], 0.0), Verdict::Dropped, "it feels no gravity");
+        assert_eq!(
+            verdict(0.1, flat, 0.123),
+            Verdict::Dropped,
+            "its values are finer than those of a browser"
+        );
     }
 
     #[test]
