@@ -86,6 +86,11 @@ impl Kind {
         schema.to_value()
     }
 
+    /// Whether its host sets nothing at it, so that what it sends wrongly it goes on sending.
+    pub(crate) fn is_left_alone(self) -> bool {
+        matches!(self, Self::SlimeVr | Self::OpenImu | Self::WitMotion)
+    }
+
     pub(crate) fn is_magnetic(self) -> bool {
         matches!(self, Self::Flock | Self::Fastrak | Self::MotionStar | Self::Polhemus)
     }

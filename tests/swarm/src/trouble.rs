@@ -4,7 +4,7 @@ use posed_drivers::LineEvent;
 use posed_simulator::faults::{Bytes, Fault};
 use posed_stage::input::{Input, Model, Plan as Sets, Request};
 
-use crate::device::{Device, Kind};
+use crate::device::Device;
 use crate::dice::Dice;
 use crate::models;
 
@@ -54,10 +54,10 @@ pub(crate) fn fault(dice: &mut Dice, device: &Device, trouble_s: f64) -> Fault {
         }
         14 => Fault::CounterRestart { at_s },
         15 => Fault::LostPeriods { at_s, count: 1 + dice.below(40) as u32 },
-        // Nobody sets a SlimeVR tracker up.
+        // Nobody sets it up anew.
         16 => Fault::WrongOutput {
             at_s,
-            duration_s: lasting.filter(|_| device.kind == Kind::SlimeVr || dice.chance(0.7)),
+            duration_s: lasting.filter(|_| device.kind.is_left_alone() || dice.chance(0.7)),
         },
         17 => Fault::LowBattery { address, at_s },
         18 => Fault::Unplug { at_s, duration_s: lasting, power: false },
