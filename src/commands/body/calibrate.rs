@@ -3,14 +3,10 @@
 //! In: the daemon's websocket. Out: what to do next, a line each, and in the end how well every sensor's mounting shows. It decides
 //! nothing: the daemon notices what was done, and uses what it finds. Ctrl-C cancels.
 
-use futures_util::{SinkExt, StreamExt};
-use posed_protocol::{Job, JobState, Jobs};
-use serde_json::{Value, json};
-use tokio::net::TcpStream;
-use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
-use tungstenite::Message;
-use tungstenite::client::IntoClientRequest;
-use tungstenite::http::HeaderValue;
+use posed_client::{
+    Call, Choice, Client, Error as ClientError, Job, JobState, ServerMessage, Started, Topic,
+};
+use posed_fusion::body::Thoroughness;
 
 use super::super::end::End;
 use super::super::run::block_on;
@@ -40,50 +36,55 @@ pub(super) struct Calibrate {
     json: bool,
 }
 
-const SUBSCRIBE: u64 = 1;
-const BEGIN: u64 = 2;
-const CANCEL: u64 = 3;
-
 pub(super) fn run(args: &Calibrate) -> Result<(), Error> {
     block_on(async {
-        let mut daemon = Daemon::connect(args).await?;
-        daemon.send(&json!({"type": "subscribe", "id": SUBSCRIBE, "topics": ["jobs"]})).await?;
-        daemon
-            .send(&json!({"type": "body.calibrate", "id": BEGIN, "how": args.how, "body": args.body}))
-            .await?;
+        // A daemon that begins anew knows nothing of the job.
+        let mut daemon =
+            Client::connect(&args.at, args.token.as_deref()).await.map_err(error)?.without_reconnection();
+        daemon.subscribe(Choice::of([Topic::Jobs])).await.map_err(error)?;
+        let call = Call::BodyCalibrate { how: Some(args.thoroughness()), body: args.body.clone() };
+        let Started { job: number } = daemon.request(&call).await.map_err(error)?;
         let mut end = End::new(None)?;
-        let (mut number, mut reported) = (None, String::new());
+        let mut reported = String::new();
         loop {
             let message = tokio::select! {
-                message = daemon.next() => message?,
+                message = daemon.next() => message.map_err(error)?,
                 () = end.wait() => {
-                    let Some(job) = number else { return Err(Error::failed("cancelled")) };
-                    daemon.send(&json!({"type": "job.cancel", "id": CANCEL, "job": job})).await?;
+                    daemon.request::<()>(&Call::JobCancel { job: number }).await.map_err(error)?;
                     continue;
                 }
             };
-            match (message["type"].as_str(), message["id"].as_u64()) {
-                (Some("ok"), Some(BEGIN)) => number = message["result"]["job"].as_u64(),
-                (Some("error"), _) => {
-                    return Err(Error::failed(message["message"].as_str().unwrap_or("the daemon refused")));
-                }
-                (Some("jobs"), _) => {
-                    let jobs: Jobs = serde_json::from_value(message).map_err(Error::failed)?;
-                    let Some(job) = jobs.jobs.into_iter().find(|job| Some(job.job) == number) else {
-                        continue;
-                    };
-                    if job.state != JobState::Running {
-                        return outcome(args, job);
-                    }
-                    if let Some(sentence) = job.message.filter(|sentence| *sentence != reported) {
-                        emit(args, &sentence)?;
-                        reported = sentence;
-                    }
-                }
-                _ => {}
+            let ServerMessage::Jobs(jobs) = message else { continue };
+            let Some(job) = jobs.body.jobs.into_iter().find(|job| job.job == number) else { continue };
+            if job.state != JobState::Running {
+                return outcome(args, job);
+            }
+            if let Some(sentence) = job.message.filter(|sentence| *sentence != reported) {
+                emit(args, &sentence)?;
+                reported = sentence;
             }
         }
     })
+}
+
+impl Calibrate {
+    fn thoroughness(&self) -> Thoroughness {
+        match self.how.as_str() {
+            "quick" => Thoroughness::Quick,
+            "movement" => Thoroughness::Movement,
+            "assign" => Thoroughness::Assign,
+            _ => Thoroughness::Full,
+        }
+    }
+}
+
+/// What the daemon refuses or does not answer.
+fn error(error: ClientError) -> Error {
+    match error {
+        ClientError::Token => Error::Usage(format!("--token: {error}")),
+        ClientError::Address(_) => Error::Usage(format!("--at: {error}")),
+        error => Error::failed(error),
+    }
 }
 
 /// A prompt; beside JSON, where only people look.
@@ -112,42 +113,4 @@ fn outcome(args: &Calibrate, job: Job) -> Result<(), Error> {
             &format!("{segment:<14} {sensor:<20} {:.1} degrees\n", quality_deg.as_f64().unwrap_or(f64::NAN));
     }
     print(&text)
-}
-
-struct Daemon(WebSocketStream<MaybeTlsStream<TcpStream>>);
-
-impl Daemon {
-    async fn connect(args: &Calibrate) -> Result<Self, Error> {
-        let wrong = |error: &dyn std::fmt::Display| {
-            Error::Failed(format!("no daemon can be spoken to at {}: {error}", args.at))
-        };
-        let mut request =
-            format!("ws://{}/ws", args.at).into_client_request().map_err(|error| wrong(&error))?;
-        if let Some(token) = &args.token {
-            let value = HeaderValue::from_str(&format!("Bearer {token}"))
-                .map_err(|_| Error::Usage("--token: a secret has visible characters only".into()))?;
-            request.headers_mut().insert("authorization", value);
-        }
-        let (socket, _) = connect_async(request).await.map_err(|error| wrong(&error))?;
-        Ok(Self(socket))
-    }
-
-    async fn send(&mut self, request: &Value) -> Result<(), Error> {
-        self.0.send(Message::text(request.to_string())).await.map_err(gone)
-    }
-
-    async fn next(&mut self) -> Result<Value, Error> {
-        loop {
-            match self.0.next().await {
-                Some(Ok(Message::Text(text))) => return serde_json::from_str(&text).map_err(Error::failed),
-                Some(Ok(Message::Close(_))) | None => return Err(Error::failed("the daemon has gone away")),
-                Some(Ok(_)) => {}
-                Some(Err(error)) => return Err(gone(error)),
-            }
-        }
-    }
-}
-
-fn gone(error: tungstenite::Error) -> Error {
-    Error::Failed(format!("the daemon has gone away: {error}"))
 }
