@@ -177,7 +177,7 @@ impl Polhemus {
             orientation_wxyz: Some(record.orientation_wxyz),
             button: record.button.map(u8::from),
         };
-        let t_device = DeviceTime::Counter { ticks: stamp.time_ms, tick_s: 1e-3 };
+        let t_device = DeviceTime::Counter { ticks: stamp.time_us as u64, tick_s: 1e-6 };
         line.publish(offset, station.into(), (t_device, false), pose);
     }
 

@@ -1,5 +1,6 @@
 //! Whether the frame count and the time of a record can be true: without a checksum this finds most damage to them, and what stands in
-//! for a record.
+//! for a record. And when a frame was measured: the unit's time is cut to whole milliseconds, a quarter of a Liberty's frame, but the frames that it
+//! counts lie evenly within them.
 
 use posed_state::Plain;
 
@@ -17,6 +18,14 @@ pub(super) struct Stamp {
     at: Timestamp,
     pub(super) time_ms: u64,
     pub(super) frame: u64,
+    /// The unit's time where its frames lie evenly: within the millisecond that it states, µs.
+    pub(super) time_us: f64,
+}
+
+/// A time within a millisecond, as near to `time_us` as that allows, µs.
+fn within(time_ms: u64, time_us: f64) -> f64 {
+    let begin_us = time_ms as f64 * 1e3;
+    time_us.clamp(begin_us, begin_us + 999.0)
 }
 
 /// What is known of a record's counts.
@@ -47,13 +56,16 @@ impl Stamps {
             let in_step = (f64::from(ms) - due_ms).abs() <= CUT_OFF_MS + RATE_ERROR * due_ms;
             let on_time = (f64::from(ms) * 1e-3 - now.seconds_since(stamp.at)).abs() <= MOST_APART_S;
             let (time_ms, frame) = (stamp.time_ms + u64::from(ms), stamp.frame + u64::from(frames));
-            (in_step && on_time && (frames > 0 || ms == 0)).then_some(Stamp { at: now, time_ms, frame })
+            let time_us = within(time_ms, stamp.time_us + due_ms * 1e3);
+            let fits = in_step && on_time && (frames > 0 || ms == 0);
+            fits.then_some(Stamp { at: now, time_ms, frame, time_us })
         };
         if let Some(stamp) = self.last.and_then(after) {
             *self = Self { last: Some(stamp), doubtful: None };
             return Judged::GoesOn(stamp);
         }
-        let here = Stamp { at: now, time_ms: time_ms.into(), frame: frame.into() };
+        let time_us = within(time_ms.into(), f64::from(time_ms) * 1e3 + 500.0);
+        let here = Stamp { at: now, time_ms: time_ms.into(), frame: frame.into(), time_us };
         match self.doubtful.replace(here).and_then(after) {
             Some(stamp) => {
                 *self = Self { last: Some(stamp), doubtful: None };
@@ -61,5 +73,26 @@ impl Stamps {
             }
             None => Judged::Doubtful,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_lie_evenly_within_the_milliseconds_that_the_unit_states() {
+        let (mut stamps, mut before, mut steps) = (Stamps::default(), None, Vec::new());
+        for frame in 0..600_u32 {
+            let true_ms = 17.3 + f64::from(frame) * 1000.0 / 240.0;
+            let now = Timestamp::from_secs_f64(true_ms * 1e-3);
+            let judged = stamps.judge(now, true_ms as u32, frame, 1000.0 / 240.0);
+            let (Judged::GoesOn(stamp) | Judged::Anew(stamp)) = judged else { continue };
+            assert_eq!((stamp.time_us / 1e3) as u32, true_ms as u32);
+            steps.extend(before.replace(stamp.time_us).map(|before| stamp.time_us - before));
+        }
+        // Once the milliseconds have shown where in them the frames lie.
+        let off_us = steps[24..].iter().map(|step| (step - 1e6 / 240.0).abs()).fold(0.0, f64::max);
+        assert!(steps.len() > 590 && off_us < 1.0, "{off_us}");
     }
 }

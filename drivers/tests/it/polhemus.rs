@@ -243,8 +243,8 @@ fn a_unit_is_set_up_and_streams_with_its_own_time() {
             assert!((478..=482).contains(&rig.samples.len()), "{}", rig.samples.len());
             for sample in &rig.samples {
                 let DeviceTime::Counter { ticks, tick_s } = sample.t_device else { panic!() };
-                assert!((tick_s - 1e-3).abs() < 1e-15);
-                let behind_s = sample.arrival.t_read.as_secs_f64() - ticks as f64 * 1e-3;
+                assert!((tick_s - 1e-6).abs() < 1e-15);
+                let behind_s = sample.arrival.t_read.as_secs_f64() - ticks as f64 * 1e-6;
                 assert!((behind_s + 0.417).abs() < 6e-3, "{behind_s}");
             }
             assert!(rig.session.losses().iter().all(|loss| loss.lost == 0));
@@ -367,7 +367,7 @@ fn wrong(text: bool, kinds: &[Damage], seed: u64) -> (usize, usize) {
         (first..first + FRAMES).map(|frame| at(sample.address as u8, frame)).any(|record| {
             let DeviceTime::Counter { ticks, .. } = sample.t_device else { return false };
             let apart = p.iter().chain(&q).zip(record.position_m.iter().chain(&record.orientation_wxyz));
-            ticks == u64::from(record.time_ms) && apart.into_iter().all(|(a, b)| (a - b).abs() < 2e-5)
+            ticks / 1000 == u64::from(record.time_ms) && apart.into_iter().all(|(a, b)| (a - b).abs() < 2e-5)
         })
     };
     (samples.len(), samples.iter().filter(|sample| !is_true(sample)).count())
@@ -403,7 +403,7 @@ fn a_flipped_bit_anywhere_but_in_the_pose_makes_no_wrong_one() {
                 let posed_drivers::Output::Sample(sample) = output else { continue };
                 let DeviceTime::Counter { ticks, .. } = sample.t_device else { panic!() };
                 // The lowest bits of the time are within what whole milliseconds leave open.
-                let off_ms = ticks.abs_diff(u64::from(at(1, frame).time_ms));
+                let off_ms = (ticks / 1000).abs_diff(u64::from(at(1, frame).time_ms));
                 assert!(off_ms <= 2 || frame != rig.device.frame + 3, "bit {bit}: {off_ms} ms");
             }
         }
