@@ -255,7 +255,7 @@ fn a_sensor_pulled_from_a_3d_guidance_unit_repeats_and_its_neighbour_goes_on() {
     let between = |address: u16, from_s: f64, to_s: f64| {
         let within = |t: &Timestamp| (seconds(from_s)..seconds(to_s)).contains(t);
         let records = pair.samples.iter().filter(move |(t, sample)| sample.address == address && within(t));
-        records.map(|(_, sample)| sample.measurement.clone()).collect::<Vec<_>>()
+        records.map(|(_, sample)| sample.measurement).collect::<Vec<_>>()
     };
     let repeats = |records: &[Measurement]| records.windows(2).filter(|two| two[0] == two[1]).count();
     let (first, second) = (between(1, 6.1, 7.9), between(2, 6.1, 7.9));
