@@ -144,6 +144,10 @@ pub struct Condition {
     pub battery_v: Option<f64>,
     /// Strength of its radio signal where it is received, dBm.
     pub signal_dbm: Option<f64>,
+    /// Version of its firmware.
+    pub firmware: Option<[u8; 3]>,
+    /// Whether the receiver on USB through which it is to come knows it.
+    pub registered: Option<bool>,
 }
 
 impl Condition {

@@ -2026,6 +2026,8 @@ export type SensorStatus = {
   name: string;
   /** Samples per second, of the last second or more; null before that. */
   rate_hz: number | null;
+  /** Version of its firmware, such as `0.7.3`; null likewise. */
+  firmware: string | null;
   /** Samples that arrived. */
   samples: number;
   /** Strength of its radio signal, dBm (-50 is strong, -80 weak); null likewise. */
@@ -2034,6 +2036,8 @@ export type SensorStatus = {
 
 /** What every data message starts with, and its body. */
 export type SensorsMessage = {
+  /** Whether the receiver on USB through which it is to come knows it; null where it comes another way, or nobody knows yet. */
+  registered: boolean | null;
   /** Data messages of all topics that were dropped for this client so far. */
   dropped: number;
   /** What the fault map reports about the frame (field `fault`). */

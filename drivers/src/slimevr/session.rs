@@ -77,6 +77,16 @@ fn parse_mac(text: &str) -> Option<[u8; 6]> {
     parts.next().is_none().then_some(mac)
 }
 
+/// The numbers of a version like `0.7.3`, `None` for what is not one.
+fn version(text: &[u8]) -> Option<[u8; 3]> {
+    let mut parts = std::str::from_utf8(text).ok()?.trim().split('.');
+    let mut version = [0; 3];
+    for part in &mut version {
+        *part = parts.next()?.parse().ok()?;
+    }
+    parts.next().is_none().then_some(version)
+}
+
 #[derive(Clone, Debug, Plain)]
 struct Tracker {
     number: u16,
@@ -125,8 +135,9 @@ pub struct SlimeVrSession {
     #[state(keep)]
     open_to_all: bool,
     trackers: Vec<Tracker>,
-    /// By its number at a receiver: the place of a tracker.
+    /// By its number at a receiver: the place of a tracker; and since when that receiver has spoken.
     numbered: BTreeMap<u8, usize>,
+    receiver_since: Option<Timestamp>,
     next_beat: Option<Timestamp>,
     beats: u32,
     arrivals: Arrivals,
@@ -174,6 +185,7 @@ impl SlimeVrSession {
             open_to_all: macs.is_empty(),
             trackers: (1..).zip(macs).map(|(number, mac)| Tracker::new(number, Identity::Mac(mac))).collect(),
             numbered: BTreeMap::new(),
+            receiver_since: None,
             next_beat: None,
             beats: 0,
             arrivals: Arrivals::default(),
@@ -247,6 +259,8 @@ impl SlimeVrSession {
         }
         self.arrive(now, k, peer);
         self.trackers[k].protocol = handshake.protocol;
+        let (number, firmware) = (self.trackers[k].number, version(handshake.firmware));
+        self.conditions_of(number).for_each(|condition| condition.firmware = firmware);
         self.send(peer, &wire::handshake_reply());
     }
 
@@ -428,7 +442,10 @@ impl SlimeVrSession {
 
     /// Nothing is known any more of a tracker that is gone.
     fn forget_condition(&mut self, number: u16) {
-        self.conditions_of(number).for_each(|condition| *condition = Condition::unknown(condition.address));
+        self.conditions_of(number).for_each(|condition| {
+            let registered = condition.registered;
+            *condition = Condition { registered, ..Condition::unknown(condition.address) };
+        });
     }
 
     /// While a tracker is without its server it sends nothing that could be counted: time alone tells what was missed.
@@ -487,6 +504,7 @@ impl Session for SlimeVrSession {
                     tracker.peer = None;
                 }
                 self.numbered.clear();
+                self.receiver_since = None;
                 for condition in &mut self.conditions {
                     *condition = Condition::unknown(condition.address);
                 }

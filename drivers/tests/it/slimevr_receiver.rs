@@ -184,6 +184,30 @@ fn a_tracker_is_known_by_its_address_whatever_its_number_and_its_way() {
 }
 
 #[test]
+fn a_tracker_that_the_receiver_does_not_know_is_reported_once_it_would_have_been_named() {
+    let mut radio = Radio::open(&["C0:FF:EE:12:34:56", "A1:B2:C3:D4:E5:F6"], &[1, 2]);
+    let registered = |radio: &Radio| -> Vec<Option<bool>> {
+        radio.session.conditions().iter().map(|condition| condition.registered).collect()
+    };
+    radio.report(&[hid::registration(0, MAC)]);
+    assert_eq!(registered(&radio), [Some(true), None]);
+    for _ in 0..11 {
+        radio.pass_ms(1000);
+        radio.report(&[hid::registration(0, MAC)]);
+    }
+    assert_eq!(registered(&radio), [Some(true), Some(false)]);
+    let of_it = radio.warnings.iter().filter(|text| text.contains("does not know tracker 2 (A1:B2")).count();
+    assert_eq!(of_it, 1, "{:?}", radio.warnings);
+    // It is paired.
+    radio.report(&[hid::registration(1, [0xA1, 0xB2, 0xC3, 0xD4, 0xE5, 0xF6])]);
+    assert_eq!(registered(&radio), [Some(true), Some(true)]);
+    // Over Wi-Fi it says its version in words.
+    let peer = "192.0.2.9:40001".parse().unwrap();
+    radio.datagram(&udp::encode(0, 3, &udp::handshake_body(MAC, 22, "0.6.1")), peer);
+    assert_eq!(radio.session.conditions()[0].firmware, Some([0, 6, 1]));
+}
+
+#[test]
 fn battery_and_signal_are_told_and_forgotten_when_it_is_gone() {
     let mut radio = Radio::open(&[], &[1]);
     radio.report(&[
@@ -197,6 +221,7 @@ fn battery_and_signal_are_told_and_forgotten_when_it_is_gone() {
         (condition.battery, condition.battery_v, condition.signal_dbm),
         (Some(0.87), Some(4.15), Some(-60.0))
     );
+    assert_eq!((condition.firmware, condition.registered), (Some([0, 7, 3]), Some(true)));
     // At rest no rotation comes; other packets show that it is there.
     for _ in 0..20 {
         radio.pass_ms(300);

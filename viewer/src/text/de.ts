@@ -64,7 +64,7 @@ export const de: Text = {
     measure: "Messen", measuring: "zwei Sensoren wählen", distance: (a, b, mm) => `${a} bis ${b}: ${mm} mm`,
     fps: (n) => `${n} Bilder/s`, latency: (ms) => `${ms} ms Latenz`,
     noSensors: "Noch ist kein Sensor bekannt.", noSensorsNext: "Ein Gerät anstecken: Einrichten findet es und trägt es in die Stage-Datei ein.",
-    battery: "Akku", signal: "Funk", charge: (percent, volts) => `${percent} %${volts == null ? "" : `, ${volts.toFixed(2)} V`}`,
+    battery: "Akku", signal: "Funk", firmware: "Firmware", charge: (percent, volts) => `${percent} %${volts == null ? "" : `, ${volts.toFixed(2)} V`}`,
     rate: (hz) => `${hz} Hz`, lost: (n) => `${n} verloren`, sparkline: (name) => `Rate von ${name} in der letzten Minute`,
     hideRail: "Liste ausblenden", showRail: "Liste einblenden", selected: "Ausgewählt",
     position: "Position, m", speed: "Geschwindigkeit, m/s", sigma: "σ, mm", age: "Alter, ms",

@@ -72,7 +72,7 @@ export const en = {
     measure: "Measure", measuring: "choose two sensors", distance: (a: string, b: string, mm: string) => `${a} to ${b}: ${mm} mm`,
     fps: (n: number) => `${n} pictures/s`, latency: (ms: string) => `${ms} ms latency`,
     noSensors: "No sensor is known yet.", noSensorsNext: "Plug a device in: Set up finds it and names it in the stage file.",
-    battery: "Battery", signal: "Signal", charge: (percent: string, volts: number | null | undefined) => `${percent} %${volts == null ? "" : `, ${volts.toFixed(2)} V`}`,
+    battery: "Battery", signal: "Signal", firmware: "Firmware", charge: (percent: string, volts: number | null | undefined) => `${percent} %${volts == null ? "" : `, ${volts.toFixed(2)} V`}`,
     rate: (hz: string) => `${hz} Hz`, lost: (n: number) => `${n} lost`, sparkline: (name: string) => `Rate of ${name} over the last minute`,
     hideRail: "Hide the list", showRail: "Show the list", selected: "Selected",
     position: "Position, m", speed: "Speed, m/s", sigma: "σ, mm", age: "Age, ms",

@@ -3574,6 +3574,9 @@ class SensorStatus(TypedDict):
     samples: int
     """Samples that arrived."""
 
+    firmware: str | None
+    """Version of its firmware, such as `0.7.3`; null likewise."""
+
     signal_dbm: float | None
     """Strength of its radio signal, dBm (-50 is strong, -80 weak); null likewise."""
 
@@ -3586,6 +3589,11 @@ class SensorsMessage(TypedDict):
 
     fault: NotRequired[FrameLabel | None]
     """What the fault map reports about the frame (field `fault`)."""
+    registered: bool | None
+    """Whether the receiver on USB through which it is to come knows it; null where it comes another way, or nobody
+    knows yet.
+    """
+
 
     frame: NotRequired[int | None]
     """Number of the frame (field `quality`)."""

@@ -3,15 +3,19 @@
 use super::super::hid::{self, Battery, Button, Contents, Packet, RECEIVER};
 use super::{Identity, SlimeVrSession};
 use crate::sample::{Arrival, DeviceTime, Timestamp};
+use crate::session::Condition;
 
 /// "Error", as a tracker states how it is.
 const ERROR: u8 = 3;
+/// A receiver names all trackers that it knows in less, s: 256 at most, four in each of ten reports a second.
+const NAMED_S: f64 = 10.0;
 
 impl SlimeVrSession {
     /// A report of the receiver.
     pub(super) fn report(&mut self, now: Timestamp, offset: u64, report: &[u8]) {
         let Some(packets) = hid::packets(report) else { return self.refuse(report.len()) };
         let Some(arrival) = self.arrivals.of(offset) else { return };
+        self.look_for_strangers(now);
         for packet in packets {
             match packet {
                 Ok(packet) => self.by_radio(now, packet, arrival),
@@ -43,8 +47,9 @@ impl SlimeVrSession {
                     self.button(now, k, button);
                 }
             }
-            Contents::Info { battery, firmware: _, signal_dbm } => {
+            Contents::Info { battery, firmware, signal_dbm } => {
                 self.tell_condition(number, Some(battery), Some(signal_dbm));
+                self.conditions_of(number).for_each(|condition| condition.firmware = Some(firmware));
             }
             Contents::Status { code, signal_dbm } => {
                 self.tell_condition(number, None, Some(signal_dbm));
@@ -64,6 +69,8 @@ impl SlimeVrSession {
         match self.admit(now, Identity::Mac(mac)) {
             Some(k) => {
                 self.numbered.insert(id, k);
+                let number = self.trackers[k].number;
+                self.conditions_of(number).for_each(|condition| condition.registered = Some(true));
                 // While it is switched off its place is kept.
                 let tracker = &mut self.trackers[k];
                 if tracker.peer.is_none() {
@@ -71,6 +78,29 @@ impl SlimeVrSession {
                 }
             }
             None => _ = self.numbered.remove(&id),
+        }
+    }
+
+    /// Reports trackers of the settings that the receiver would have named by now.
+    fn look_for_strangers(&mut self, now: Timestamp) {
+        let since = *self.receiver_since.get_or_insert(now);
+        if now.seconds_since(since) < NAMED_S {
+            return;
+        }
+        for k in 0..if self.open_to_all { 0 } else { self.trackers.len() } {
+            let number = self.trackers[k].number;
+            let unknown =
+                |condition: &Condition| condition.address & 0xFF == number && condition.registered.is_none();
+            if !self.conditions.iter().any(unknown) {
+                continue;
+            }
+            self.conditions_of(number).for_each(|condition| condition.registered = Some(false));
+            let identity = self.trackers[k].identity;
+            self.outbox.warn(now, 0x700 + u32::from(number), || {
+                format!(
+                    "the receiver does not know tracker {number} ({identity}); pair it: `pair` on the receiver's serial console"
+                )
+            });
         }
     }
 
