@@ -28,7 +28,8 @@ fn bytes(hexadecimal: &str) -> Option<Vec<u8>> {
 /// What the session makes of a board's ten seconds at 100 Hz.
 fn holds(datagrams: &[Vec<u8>], id: &str) {
     let settings = Settings { devices: vec![id.to_owned()], ..Settings::default() };
-    let mut session = OpenImuSession::new(settings, Carrier::Envelopes { port: 9301 }, &[1]).unwrap();
+    let mut session =
+        OpenImuSession::new(settings, Carrier::Envelopes { port: 9301, websocket: 0 }, &[1]).unwrap();
     session.handle_line(Timestamp::ZERO, &LineEvent::Opened { modem_lines: false });
     let peer = SocketAddr::from(([192, 0, 2, 7], 9302));
     let (mut samples, mut answers) = (Vec::new(), 0);

@@ -101,7 +101,7 @@ impl Device {
         }
         sensors.sort_unstable_by_key(|placed| placed.address);
         let wanted: Vec<u16> = sensors.iter().map(|placed| placed.address).collect();
-        let session = DeviceSession::new(device, &wanted)
+        let session = DeviceSession::new(device, &wanted, stage.server.port_for_others())
             .map_err(|source| PipelineError::Settings { device: device.name.clone(), source })?;
         let count = bases.len() as u16;
         let name = device.name.clone();

@@ -31,8 +31,9 @@ pub(super) enum DeviceSession {
 }
 
 impl DeviceSession {
-    /// A session for a device of the stage file and the addresses of its sensors.
-    pub(super) fn new(device: &Device, wanted: &[u16]) -> Result<Self, SettingsError> {
+    /// A session for a device of the stage file and the addresses of its sensors; others reach the daemon's websocket at the port `websocket`,
+    /// or not at all (0).
+    pub(super) fn new(device: &Device, wanted: &[u16], websocket: u16) -> Result<Self, SettingsError> {
         // Some drivers fit their output to the line; 0 is a line that does not limit it.
         let line_baud = device.driver.line_baud(&device.port, device.baud).unwrap_or(0);
         Ok(match &device.driver {
@@ -59,8 +60,8 @@ impl DeviceSession {
             Driver::OpenImu(settings) => {
                 let carrier = match device.port.parse() {
                     Ok(PortAddress::Serial(_) | PortAddress::Tcp { .. } | PortAddress::Auto) => Carrier::Line,
-                    Ok(PortAddress::Udp { port, .. }) => Carrier::Envelopes { port },
-                    _ => Carrier::Envelopes { port: 0 },
+                    Ok(PortAddress::Udp { port, .. }) => Carrier::Envelopes { port, websocket },
+                    _ => Carrier::Envelopes { port: 0, websocket },
                 };
                 Self::OpenImu(Box::new(OpenImuSession::new(settings.clone(), carrier, wanted)?))
             }

@@ -421,6 +421,16 @@ pub struct Server {
     pub limits: Limits,
 }
 
+impl Server {
+    /// The port at which others on the network reach the daemon's websocket; 0 where it listens to this computer alone.
+    pub fn port_for_others(&self) -> u16 {
+        let address = self.listen.as_ref().and_then(|listen| listen.parse::<std::net::SocketAddr>().ok());
+        address
+            .filter(|address| !address.ip().to_canonical().is_loopback())
+            .map_or(0, |address| address.port())
+    }
+}
+
 /// An access token.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]

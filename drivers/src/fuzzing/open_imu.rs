@@ -19,8 +19,11 @@ pub fn open_imu(data: &[u8]) -> usize {
         255 => vec!["a b".to_owned()],
         count => (1..count).map(|k| format!("d{}", k % 70)).collect(),
     };
-    let carrier =
-        head.pick([Carrier::Line, Carrier::Envelopes { port: 9301 }, Carrier::Envelopes { port: 0 }]);
+    let carrier = head.pick([
+        Carrier::Line,
+        Carrier::Envelopes { port: 9301, websocket: 0 },
+        Carrier::Envelopes { port: 0, websocket: 0 },
+    ]);
     let settings = Settings { devices, rate_hz: head.number(1.0, 1000.0), unchecked_lines: head.flag(false) };
     let modem_lines = head.flag(false);
     let wanted = head.addresses(&[1, 2, 0x101]);

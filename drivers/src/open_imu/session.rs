@@ -53,6 +53,8 @@ pub enum Carrier {
     Envelopes {
         /// The UDP port at which they come, for whoever looks for it; 0 where they come another way.
         port: u16,
+        /// The port of the daemon's websocket, for the same; 0 where nobody else reaches it.
+        websocket: u16,
     },
 }
 
@@ -183,8 +185,8 @@ impl OpenImuSession {
                 }
             }
             Kind::Discovery => {
-                if let Carrier::Envelopes { port } = self.carrier {
-                    self.send(peer, &wire::discovered("posed", 0, port, port));
+                if let Carrier::Envelopes { port, websocket } = self.carrier {
+                    self.send(peer, &wire::discovered("posed", websocket, port, port));
                 }
             }
             Kind::Unknown => self.refuse(data.len()),

@@ -182,7 +182,7 @@ proptest! {
         arguments.extend(values.map(Value::Float));
         let datagram = Writer::message(ID, "0", &arguments);
         let sample = |carrier: &str| {
-            let mut rig = Talk::new(Carrier::Envelopes { port: 9301 }, &[ID], &[1]);
+            let mut rig = Talk::new(Carrier::Envelopes { port: 9301, websocket: 0 }, &[ID], &[1]);
             match carrier {
                 "json" => {
                     rig.text(PEER, &format!(r#"{{"imu":1,"id":"{ID}"}}"#));
@@ -277,7 +277,7 @@ fn sample_text(n: u32, t_us: i64) -> String {
 
 #[test]
 fn a_phone_says_hello_and_sends() {
-    let mut talk = Talk::new(Carrier::Envelopes { port: 0 }, &[ID], &[1]);
+    let mut talk = Talk::new(Carrier::Envelopes { port: 0, websocket: 0 }, &[ID], &[1]);
     talk.text(PEER, &sample_text(1, 0));
     assert!(talk.answered()[0].1.starts_with(r#"{"err":"no_hello""#));
     talk.text(PEER, r#"{"imu":1,"id":"esp-7f3a","name":"Left thigh","rate":100,"unit":"us","bits":32}"#);
@@ -307,7 +307,7 @@ fn a_phone_says_hello_and_sends() {
 
 #[test]
 fn a_second_connection_takes_the_place_of_the_first() {
-    let mut talk = Talk::new(Carrier::Envelopes { port: 0 }, &[ID], &[1]);
+    let mut talk = Talk::new(Carrier::Envelopes { port: 0, websocket: 0 }, &[ID], &[1]);
     let hello = format!(r#"{{"imu":1,"id":"{ID}"}}"#);
     talk.text(PEER, &hello);
     talk.text(PEER, &sample_text(7, 0));
@@ -327,7 +327,7 @@ fn a_second_connection_takes_the_place_of_the_first() {
 
 #[test]
 fn whoever_sends_nonsense_is_closed() {
-    let mut talk = Talk::new(Carrier::Envelopes { port: 0 }, &[ID], &[1]);
+    let mut talk = Talk::new(Carrier::Envelopes { port: 0, websocket: 0 }, &[ID], &[1]);
     talk.text(PEER, &format!(r#"{{"imu":1,"id":"{ID}"}}"#));
     talk.answered();
     talk.text(PEER, "{nonsense");
@@ -353,7 +353,7 @@ fn whoever_sends_nonsense_is_closed() {
 
 #[test]
 fn what_the_settings_do_not_name_is_found_and_feeds_nothing() {
-    let mut talk = Talk::new(Carrier::Envelopes { port: 9301 }, &[ID], &[1]);
+    let mut talk = Talk::new(Carrier::Envelopes { port: 9301, websocket: 0 }, &[ID], &[1]);
     talk.datagram(OTHER, &csv::line("H,new-one,1,Ankle,0.1,50,ms,32"));
     talk.datagram(OTHER, &csv::line("I,new-one,2,1,10,0,0,0,0,0,9.81"));
     talk.datagram(PEER, &csv::line("I,esp-7f3a,1,1,10,0,0,0,0,0,9.81"));
@@ -374,7 +374,7 @@ fn what_the_settings_do_not_name_is_found_and_feeds_nothing() {
 
 #[test]
 fn two_devices_of_one_name_do_not_mix() {
-    let mut talk = Talk::new(Carrier::Envelopes { port: 9301 }, &[ID], &[1]);
+    let mut talk = Talk::new(Carrier::Envelopes { port: 9301, websocket: 0 }, &[ID], &[1]);
     for n in 0..50 {
         talk.datagram(PEER, &csv::line(&format!("I,{ID},0,{n},{},0,0,0,0,0,9.81", 10_000 * n)));
         talk.datagram(OTHER, &csv::line(&format!("I,{ID},0,{},{},0,0,0,0,0,1.0", 700 + n, 10_000 * n)));
@@ -390,14 +390,14 @@ fn two_devices_of_one_name_do_not_mix() {
 
 #[test]
 fn who_looks_for_a_server_is_answered() {
-    let mut talk = Talk::new(Carrier::Envelopes { port: 9302 }, &[], &[]);
+    let mut talk = Talk::new(Carrier::Envelopes { port: 9302, websocket: 8787 }, &[], &[]);
     talk.datagram(PEER, b"IMU?1");
-    assert_eq!(talk.answered(), [(PEER, "IMU!1 posed 0 9302 9302".to_owned())]);
+    assert_eq!(talk.answered(), [(PEER, "IMU!1 posed 8787 9302 9302".to_owned())]);
 }
 
 #[test]
 fn losses_are_counted_exactly_and_late_samples_refused() {
-    let mut talk = Talk::new(Carrier::Envelopes { port: 9301 }, &[ID], &[1]);
+    let mut talk = Talk::new(Carrier::Envelopes { port: 9301, websocket: 0 }, &[ID], &[1]);
     let mut noise = Noise::new(3);
     let (mut lost, mut held) = (0_u64, None);
     for n in 0..60_000_u32 {
@@ -548,7 +548,7 @@ fn a_long_line_is_passed_over() {
 #[test]
 fn sixteen_sensors_at_1000_hz_are_served() {
     let wanted: Vec<u16> = (0..16).map(|sensor| sensor << 8 | 1).collect();
-    let mut talk = Talk::new(Carrier::Envelopes { port: 9301 }, &[ID], &wanted);
+    let mut talk = Talk::new(Carrier::Envelopes { port: 9301, websocket: 0 }, &[ID], &wanted);
     for n in 0..2000_i32 {
         let messages: Vec<Vec<u8>> = (0..16)
             .map(|sensor| {

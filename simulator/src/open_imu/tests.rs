@@ -9,9 +9,9 @@ use crate::testing::{Pair, scenario_of, stage_of};
 /// Sensor 0 of devices 1 to 3, and a second one of device 2.
 const ADDRESSES: [u16; 4] = [1, 2, 3, 0x102];
 const PORTS: [(&str, Carrier); 4] = [
-    ("udp://0.0.0.0:9301", Carrier::Envelopes { port: 9301 }),
-    ("udp://0.0.0.0:9302", Carrier::Envelopes { port: 9302 }),
-    ("websocket", Carrier::Envelopes { port: 0 }),
+    ("udp://0.0.0.0:9301", Carrier::Envelopes { port: 9301, websocket: 0 }),
+    ("udp://0.0.0.0:9302", Carrier::Envelopes { port: 9302, websocket: 0 }),
+    ("websocket", Carrier::Envelopes { port: 0, websocket: 0 }),
     ("/dev/ttyUSB0", Carrier::Line),
 ];
 

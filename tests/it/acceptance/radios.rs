@@ -97,7 +97,8 @@ impl Mirror {
         let wanted: Vec<u16> = (1..=COUNT).collect();
         let settings = Settings { devices, ..Settings::default() };
         Self {
-            session: OpenImuSession::new(settings, Carrier::Envelopes { port: 0 }, &wanted).unwrap(),
+            session: OpenImuSession::new(settings, Carrier::Envelopes { port: 0, websocket: 0 }, &wanted)
+                .unwrap(),
             clocks: BTreeMap::new(),
             stamps: BTreeMap::new(),
             truth: BTreeMap::new(),
