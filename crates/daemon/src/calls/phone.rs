@@ -1,8 +1,8 @@
 //! Calls `phone.*`: how phones come, and which have.
 
-use serde_json::{Map, Value, json};
+use serde_json::json;
 
-use super::super::find::proposal::free;
+use super::super::find::proposal::{Joined, Newcomer, free, join, list};
 use super::super::server::phones::{Connected, Phones};
 use super::{Calls, Refusal};
 use posed_protocol::{Answer, Phone};
@@ -55,36 +55,26 @@ fn additions(keys: &toml::Table, id: &str, called: &str) -> Vec<Change> {
         tables("device").iter().chain(tables("sensor")).filter_map(|table| text_of(table, "name")).collect();
     let there = tables("device").iter().find(|device| text_of(device, "port").as_deref() == Some(PORT));
     let ids = there.and_then(|device| device.get("devices")).and_then(toml::Value::as_array);
-    let mut ids: Vec<String> =
+    let ids: Vec<String> =
         ids.into_iter().flatten().filter_map(|id| id.as_str().map(str::to_owned)).collect();
-    // One that the file names already has lost its sensor only.
-    let number = ids.iter().position(|known| known == id).map_or(ids.len() + 1, |at| at + 1);
-    if number > ids.len() {
-        ids.push(id.to_owned());
-    }
     let device = there.and_then(|device| text_of(device, "name"));
-    let (device, first) = match device {
-        Some(name) => {
-            let value = Some(Value::from(ids));
-            let key = "devices".to_owned();
-            (name.clone(), Change::Set { table: Table::Device, name, key, value })
-        }
+    let name = device.clone().unwrap_or_else(|| free(DEVICE, &taken));
+    let newcomer = Newcomer { id: id.to_owned(), sensor: 0, called: named(called) };
+    let Joined { listed, sensors, .. } = join(&name, &ids, [newcomer], taken);
+    let first = match device {
+        Some(name) => list(&name, listed),
         None => {
-            let name = free(DEVICE, &taken);
-            let keys = table(json!({"name": name, "driver": DRIVER, "port": PORT, "devices": ids}));
-            (name, Change::Add { table: Table::Device, keys })
+            let keys = [
+                ("name", json!(name)),
+                ("driver", json!(DRIVER)),
+                ("port", json!(PORT)),
+                ("devices", json!(listed)),
+            ];
+            let keys = keys.map(|(key, value)| (key.to_owned(), value)).into_iter().collect();
+            Change::Add { table: Table::Device, keys }
         }
     };
-    let name = free(&named(called), &taken);
-    let keys = table(json!({"name": name, "device": device, "address": number}));
-    vec![first, Change::Add { table: Table::Sensor, keys }]
-}
-
-fn table(keys: Value) -> Map<String, Value> {
-    match keys {
-        Value::Object(keys) => keys,
-        _ => Map::new(),
-    }
+    std::iter::once(first).chain(sensors).collect()
 }
 
 /// What a sensor is called whose device is called so.

@@ -25,34 +25,73 @@ pub fn propose<'p>(ports: impl IntoIterator<Item = &'p mut FoundPort>, taken: &[
 /// of `taken`.
 pub fn newcomers(device: &Device, found: &[Found], taken: &[&str]) -> Option<FoundPort> {
     let Driver::OpenImu(settings) = &device.driver else { return None };
-    let mut taken: Vec<String> = taken.iter().map(|&name| name.to_owned()).collect();
-    let mut listed = settings.devices.clone();
-    let (mut sensors, mut adds) = (Vec::new(), Vec::new());
-    for Found { id, sensor, .. } in found {
-        let known = listed.iter().position(|known| known == id).unwrap_or(listed.len());
-        if known == listed.len() {
-            listed.push(id.clone());
-        }
-        let serial = if *sensor == 0 { id.clone() } else { format!("{id}/{sensor}") };
-        let address = u16::from(*sensor) << 8 | (known as u16 + 1);
-        let name = take(&serial.replace('/', "-"), &mut taken);
-        let keys = [("name", json!(name)), ("device", json!(device.name)), ("address", json!(address))];
-        let keys = keys.map(|(key, value)| (key.to_owned(), value)).into_iter().collect();
-        adds.push(Change::Add { table: Table::Sensor, keys });
-        sensors.push(FoundSensor { address, serial: Some(serial) });
-    }
-    if listed.len() > settings.devices.len() {
-        let (name, key) = (device.name.clone(), "devices".to_owned());
-        adds.insert(0, Change::Set { table: Table::Device, name, key, value: Some(json!(listed)) });
-    }
+    let taken: Vec<String> = taken.iter().map(|&name| name.to_owned()).collect();
+    let serial = |found: &Found| match found.sensor {
+        0 => found.id.clone(),
+        sensor => format!("{}/{sensor}", found.id),
+    };
+    let coming = found.iter().map(|found| {
+        let called = serial(found).replace('/', "-");
+        Newcomer { id: found.id.clone(), sensor: found.sensor, called }
+    });
+    let Joined { listed, addresses, sensors } = join(&device.name, &settings.devices, coming, taken);
+    let set = (listed.len() > settings.devices.len()).then(|| list(&device.name, listed));
     (!sensors.is_empty()).then(|| FoundPort {
         port: device.port.clone(),
         driver: Some(device.driver.word().to_owned()),
         model: found.iter().find_map(|found| found.name.clone()).filter(|_| found.len() == 1),
-        sensors,
-        adds,
+        sensors: addresses
+            .into_iter()
+            .zip(found)
+            .map(|(address, found)| FoundSensor { address, serial: Some(serial(found)) })
+            .collect(),
+        adds: set.into_iter().chain(sensors).collect(),
         ..FoundPort::default()
     })
+}
+
+/// A sensor that is to join a device of the open format: whose it is, and what to call it.
+pub(crate) struct Newcomer {
+    pub(crate) id: String,
+    pub(crate) sensor: u8,
+    pub(crate) called: String,
+}
+
+/// How newcomers join: the list of identifiers with theirs, and for each its address and the change that adds its sensor.
+pub(crate) struct Joined {
+    pub(crate) listed: Vec<String>,
+    pub(crate) addresses: Vec<u16>,
+    pub(crate) sensors: Vec<Change>,
+}
+
+/// Has newcomers join the device of this name, which lists these identifiers. No name is one of `taken`.
+pub(crate) fn join(
+    device: &str,
+    listed: &[String],
+    newcomers: impl IntoIterator<Item = Newcomer>,
+    mut taken: Vec<String>,
+) -> Joined {
+    let mut joined = Joined { listed: listed.to_vec(), addresses: Vec::new(), sensors: Vec::new() };
+    for Newcomer { id, sensor, called } in newcomers {
+        // One whose identifier stands there already has lost its sensor only.
+        let known = joined.listed.iter().position(|known| *known == id).unwrap_or_else(|| {
+            joined.listed.push(id);
+            joined.listed.len() - 1
+        });
+        let address = u16::from(sensor) << 8 | (known as u16 + 1);
+        let name = take(&called, &mut taken);
+        let keys = [("name", json!(name)), ("device", json!(device)), ("address", json!(address))];
+        let keys = keys.map(|(key, value)| (key.to_owned(), value)).into_iter().collect();
+        joined.addresses.push(address);
+        joined.sensors.push(Change::Add { table: Table::Sensor, keys });
+    }
+    joined
+}
+
+/// The change that gives a device of the open format this list of identifiers.
+pub(crate) fn list(device: &str, listed: Vec<String>) -> Change {
+    let (name, key) = (device.to_owned(), "devices".to_owned());
+    Change::Set { table: Table::Device, name, key, value: Some(json!(listed)) }
 }
 
 fn additions(port: &FoundPort, driver: &str, taken: &mut Vec<String>) -> Vec<Change> {
