@@ -2030,6 +2030,8 @@ export type SensorStatus = {
   firmware: string | null;
   /** Samples that arrived. */
   samples: number;
+  /** Those of `lost` that never came: by the device's own count where it has one. */
+  missed: number;
   /** Strength of its radio signal, dBm (-50 is strong, -80 weak); null likewise. */
   signal_dbm: number | null;
 };

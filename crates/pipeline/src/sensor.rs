@@ -159,10 +159,11 @@ impl Sensor {
         condition: Condition,
         corrected: bool,
     ) -> SensorStatus {
-        let (lost, estimated) =
+        let (missed, estimated) =
             counted.map_or((self.missed, self.missed_by_time), |loss| (loss.lost, loss.estimated));
-        let lost = lost + self.unpublished;
-        SensorStatus { samples: self.samples, newest: self.newest, lost, estimated, condition, corrected }
+        let lost = missed + self.unpublished;
+        let newest = self.newest;
+        SensorStatus { samples: self.samples, newest, lost, missed, estimated, condition, corrected }
     }
 
     /// Whether a measurement is one of the cycle that times its device, rather than one beside it.

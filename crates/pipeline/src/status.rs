@@ -68,6 +68,8 @@ pub struct SensorStatus {
     pub newest: Option<Timestamp>,
     /// Expected samples that did not come, and frames whose samples were not published as `ok`.
     pub lost: u64,
+    /// Those of `lost` that did not come, by the device's own count where it has one.
+    pub missed: u64,
     /// Part of `lost` comes from the time that passed: nothing on the line shows how many samples there were.
     pub estimated: bool,
     /// What it reports of itself, as far as it does.

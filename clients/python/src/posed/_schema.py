@@ -3580,6 +3580,9 @@ class SensorStatus(TypedDict):
     signal_dbm: float | None
     """Strength of its radio signal, dBm (-50 is strong, -80 weak); null likewise."""
 
+    missed: int
+    """Those of `lost` that never came: by the device's own count where it has one."""
+
 
 class SensorsMessage(TypedDict):
     """What every data message starts with, and its body."""

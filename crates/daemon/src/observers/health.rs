@@ -259,6 +259,7 @@ impl Health {
             rate_hz: sensor.rate.of(now, counted.samples),
             age_s: age_s(counted.newest),
             lost: counted.lost,
+            missed: counted.missed,
             estimated: counted.estimated,
             battery: counted.condition.battery,
             battery_v: counted.condition.battery_v,

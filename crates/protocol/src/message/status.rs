@@ -96,6 +96,9 @@ pub struct SensorStatus {
     pub age_s: Option<f64>,
     /// Expected samples that were not published as `ok`, but for those with which its filter began.
     pub lost: u64,
+    /// Those of `lost` that never came: by the device's own count where it has one.
+    #[serde(default)]
+    pub missed: u64,
     /// Whether `lost` is partly estimated, because whole cycles left no trace in the bytes.
     pub estimated: bool,
     /// Charge of its battery, 0 to 1; null where its device reports none, and after it is gone.

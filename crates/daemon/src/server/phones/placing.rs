@@ -68,7 +68,8 @@ impl Placing {
             "segment": placed.segment,
             "rate_hz": sensor.and_then(|sensor| sensor.rate_hz),
             "samples": sensor.map(|sensor| sensor.samples),
-            "lost": sensor.map(|sensor| sensor.lost),
+            // What came and was of no use is not the radio's.
+            "lost": sensor.map(|sensor| sensor.missed),
             "problems": problems.collect::<Vec<_>>(),
         }})
     }
