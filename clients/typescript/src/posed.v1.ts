@@ -469,6 +469,12 @@ export type Call = {
 } | {
   /** The reply carries it. */
   id: RequestId;
+  /** Its id. */
+  phone_id: string;
+  type: "phone.blink";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
   /** Its number. */
   job: number;
   type: "job.cancel";
@@ -2020,26 +2026,26 @@ export type SensorStatus = {
   corrected: boolean;
   /** Whether `lost` is partly estimated, because whole cycles left no trace in the bytes. */
   estimated: boolean;
+  /** Version of its firmware, such as `0.7.3`; null likewise. */
+  firmware: string | null;
   /** Expected samples that were not published as `ok`, but for those with which its filter began. */
   lost: number;
+  /** Those of `lost` that never came: by the device's own count where it has one. */
+  missed: number;
   /** Its name. */
   name: string;
   /** Samples per second, of the last second or more; null before that. */
   rate_hz: number | null;
-  /** Version of its firmware, such as `0.7.3`; null likewise. */
-  firmware: string | null;
+  /** Whether the receiver on USB through which it is to come knows it; null where it comes another way, or nobody knows yet. */
+  registered: boolean | null;
   /** Samples that arrived. */
   samples: number;
-  /** Those of `lost` that never came: by the device's own count where it has one. */
-  missed: number;
   /** Strength of its radio signal, dBm (-50 is strong, -80 weak); null likewise. */
   signal_dbm: number | null;
 };
 
 /** What every data message starts with, and its body. */
 export type SensorsMessage = {
-  /** Whether the receiver on USB through which it is to come knows it; null where it comes another way, or nobody knows yet. */
-  registered: boolean | null;
   /** Data messages of all topics that were dropped for this client so far. */
   dropped: number;
   /** What the fault map reports about the frame (field `fault`). */

@@ -272,6 +272,7 @@ impl Player {
             | Call::SetupFind { .. }
             | Call::PhoneInvite {}
             | Call::PhoneList {}
+            | Call::PhoneBlink { .. }
             | Call::HeadingReset { .. }
             | Call::StageAlign { .. }
             | Call::ImuCalibrate { .. }

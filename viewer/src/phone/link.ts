@@ -16,7 +16,7 @@ export type Thought = {
 };
 /** `replaced`: another page has the same id; `refused`: the token does not serve. */
 export type LinkState = "idle" | "connecting" | "open" | "lost" | "replaced" | "refused";
-type Said = { ok?: 1; stage?: Thought; err?: string; why?: string };
+type Said = { ok?: 1; stage?: Thought; blink?: boolean; err?: string; why?: string };
 
 const RETRY_MS = [300, 1000, 2000, 5000];
 /** Samples of a block; one that waits longer goes alone, ms. */
@@ -43,6 +43,7 @@ export class Link {
     private readonly token: () => string | null,
     private readonly onState: (state: LinkState, why: string) => void,
     private readonly onThought: (thought: Thought) => void,
+    private readonly onBlink: () => void,
   ) {}
 
   open(): void {
@@ -102,6 +103,7 @@ export class Link {
         this.attempts = 0;
         this.onState("open", "");
       } else if (said.stage) this.onThought(said.stage);
+      else if (said.blink) this.onBlink();
       else if (said.err !== undefined) why = said.err === "dup_id" ? "dup_id" : said.why ?? said.err;
     };
     socket.onclose = ({ code, reason }) => {

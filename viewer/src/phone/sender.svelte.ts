@@ -9,6 +9,8 @@ import { apply } from "./vectors";
 
 /** Beyond so many samples a second nothing is gained: browsers give 60. */
 const RATE_HZ = 60;
+/** How long it shows itself to who looks for it, ms. */
+const BLINK_MS = 3000;
 
 class Sender {
   linkState = $state<LinkState>("idle");
@@ -23,6 +25,9 @@ class Sender {
   /** The automatic check has corrected the sign. */
   signFound = $state(false);
   readonly guide = new Guide();
+  /** Somebody looks for this phone. */
+  blinks = $state(false);
+  private blinking: ReturnType<typeof setTimeout> | undefined;
   private axes: Axes = keptAxes();
   private readonly signs = new SignWatch();
   private readonly token = identity.token();
@@ -37,6 +42,7 @@ class Sender {
     () => this.token,
     (state, why) => ([this.linkState, this.why] = [state, why]),
     (thought) => (this.thought = thought),
+    () => this.blink(),
   );
 
   constructor() {
@@ -64,6 +70,12 @@ class Sender {
     this.guide.cancel();
     this.link.close("stopped");
     void this.lock?.release();
+  }
+
+  private blink(): void {
+    this.blinks = true;
+    clearTimeout(this.blinking);
+    this.blinking = setTimeout(() => (this.blinks = false), BLINK_MS);
   }
 
   rename(name: string): void {

@@ -273,7 +273,7 @@ export const de: Text = {
     byHand: "Ohne Kamera: Adressen", secret: "Die Adresse lässt ein Telefon als Sensor senden, und sonst nichts. Gehört jemandes Telefon nicht hierher, braucht er sie nicht.",
     fingerprint: (name) => `Das Zertifikat heißt ${name}; sein SHA-256-Fingerabdruck ist`,
     connected: "Verbundene Telefone", none: "Noch kein Telefon ist verbunden.", held: (name) => `${name}, wie es gerade gehalten wird`, notHeld: (name) => `${name} sagt nicht, wie es gehalten wird`,
-    isSensor: (name) => `ist der Sensor ${name}`, name: "Name", where: "Sitzt an", nowhere: "keinem Segment", use: "Verwenden", useNamed: (name) => `${name} als Sensor verwenden`,
+    isSensor: (name) => `ist der Sensor ${name}`, blink: "Zeigen", blinkNamed: (name) => `${name} blinken lassen`, name: "Name", where: "Sitzt an", nowhere: "keinem Segment", use: "Verwenden", useNamed: (name) => `${name} als Sensor verwenden`,
   },
   hub: {
     title: "posed-Hub", none: "Noch keine Stage: Jede erscheint, sobald sie sich verbunden hat.", token: "Dieser Hub verlangt ein Token",

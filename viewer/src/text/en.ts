@@ -288,7 +288,7 @@ export const en = {
     byHand: "Without a camera: addresses", secret: "The address lets a phone send as a sensor, and do nothing else. Give it to nobody whose phone does not belong here.",
     fingerprint: (name: string) => `The certificate is called ${name}; its SHA-256 fingerprint is`,
     connected: "Phones that are connected", none: "No phone is connected yet.", held: (name: string) => `${name}, as it is held now`, notHeld: (name: string) => `${name} does not say how it is held`,
-    isSensor: (name: string) => `is the sensor ${name}`, name: "Name", where: "Sits on", nowhere: "no segment", use: "Use it", useNamed: (name: string) => `Use ${name} as a sensor`,
+    isSensor: (name: string) => `is the sensor ${name}`, blink: "Show it", blinkNamed: (name: string) => `Have ${name} flash`, name: "Name", where: "Sits on", nowhere: "no segment", use: "Use it", useNamed: (name: string) => `Use ${name} as a sensor`,
   },
   hub: {
     title: "posed hub", none: "No stage yet: each shows as soon as it has connected.", token: "This hub asks for a token",

@@ -3,7 +3,7 @@
 import type { PhoneText } from "./phone.en";
 
 export const de: PhoneText = {
-  title: "Dieses Telefon als Sensor", start: "Start", stop: "Stopp", language: "Sprache", name: "Name dieses Telefons", placeholder: "linker Oberschenkel",
+  title: "Dieses Telefon als Sensor", here: "Hier ist es", start: "Start", stop: "Stopp", language: "Sprache", name: "Name dieses Telefons", placeholder: "linker Oberschenkel",
   before: "Erst Start drücken, dann das Telefon umschnallen. Seine Bewegung geht an die Stage, sonst nichts.",
   link: {
     idle: "Nicht gestartet", connecting: "Verbinde mit der Stage …", lost: (why) => `Die Verbindung ist weg (${why}). Neuer Versuch.`,

@@ -1,7 +1,7 @@
 // All that the page on a phone says, in English: apart from the rest, so that a phone need not load that.
 
 export const en = {
-  title: "This phone as a sensor", start: "Start", stop: "Stop", language: "Language", name: "Name of this phone", placeholder: "left thigh",
+  title: "This phone as a sensor", here: "Here it is", start: "Start", stop: "Stop", language: "Language", name: "Name of this phone", placeholder: "left thigh",
   before: "Press Start, then strap the phone on. Its motion goes to the stage, and nothing else does.",
   link: {
     idle: "Not started", connecting: "Connecting to the stage …", lost: (why: string) => `The connection is lost (${why}). Trying again.`,

@@ -439,6 +439,13 @@ streams is stopped by the question; nothing else is changed.
         """The phones and other devices that are connected to the websocket `/imu` just now."""
         return cast(Phones, await self.request({"type": "phone.list"}))
 
+    async def phone_blink(self, phone_id: str) -> None:
+        """Has one of them show itself: a phone's page flashes. Refused as `not_connected` where it is not there.
+
+        `phone_id`: Its id.
+        """
+        await self.request({"type": "phone.blink", "phone_id": phone_id})
+
     async def job_cancel(self, job: int) -> None:
         """Cancels a job.
 
@@ -850,6 +857,13 @@ streams is stopped by the question; nothing else is changed.
     def phone_list(self) -> Phones:
         """The phones and other devices that are connected to the websocket `/imu` just now."""
         return cast(Phones, self.request({"type": "phone.list"}))
+
+    def phone_blink(self, phone_id: str) -> None:
+        """Has one of them show itself: a phone's page flashes. Refused as `not_connected` where it is not there.
+
+        `phone_id`: Its id.
+        """
+        self.request({"type": "phone.blink", "phone_id": phone_id})
 
     def job_cancel(self, job: int) -> None:
         """Cancels a job.

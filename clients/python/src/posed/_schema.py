@@ -876,6 +876,18 @@ class CallPhoneList(TypedDict):
     type: Literal["phone.list"]
 
 
+class CallPhoneBlink(TypedDict):
+    """Has one of them show itself: a phone's page flashes. Refused as `not_connected` where it is not there."""
+
+    id: RequestId
+    """The reply carries it."""
+
+    phone_id: str
+    """Its id."""
+
+    type: Literal["phone.blink"]
+
+
 class CallJobCancel(TypedDict):
     """Cancels a job."""
 
@@ -900,7 +912,7 @@ class CallModelLoad(TypedDict):
     type: Literal["model.load"]
 
 
-Call: TypeAlias = "CallRecordStart | CallRecordStop | CallMark | CallReplayList | CallReplayOpen | CallReplayTrack | CallReplaySeek | CallReplaySpeed | CallReplayLook | CallReplayLabels | CallReplayLabel | CallLibraryList | CallLibraryDigest | CallLibraryRename | CallLibraryRemove | CallLibraryRestore | CallLibraryEmptyBin | CallLibraryExport | CallHealthHistory | CallFieldStart | CallFieldFinish | CallFieldAccept | CallFieldRollback | CallExerciseList | CallExerciseDemonstration | CallExerciseTeach | CallExerciseSelect | CallExerciseReset | CallFaultsTrain | CallFaultsNameCell | CallSegmentsTrain | CallBodyCalibrate | CallHeadingReset | CallStageAlign | CallImuCalibrate | CallSessionBegin | CallSessionEnd | CallSessionList | CallSessionShow | CallSessionReport | CallSessionCorrect | CallSessionPeople | CallSessionForget | CallSessionPlans | CallSessionSavePlan | CallSessionDeletePlan | CallSetupRead | CallSetupSave | CallSetupFind | CallPhoneInvite | CallPhoneList | CallJobCancel | CallModelLoad"
+Call: TypeAlias = "CallRecordStart | CallRecordStop | CallMark | CallReplayList | CallReplayOpen | CallReplayTrack | CallReplaySeek | CallReplaySpeed | CallReplayLook | CallReplayLabels | CallReplayLabel | CallLibraryList | CallLibraryDigest | CallLibraryRename | CallLibraryRemove | CallLibraryRestore | CallLibraryEmptyBin | CallLibraryExport | CallHealthHistory | CallFieldStart | CallFieldFinish | CallFieldAccept | CallFieldRollback | CallExerciseList | CallExerciseDemonstration | CallExerciseTeach | CallExerciseSelect | CallExerciseReset | CallFaultsTrain | CallFaultsNameCell | CallSegmentsTrain | CallBodyCalibrate | CallHeadingReset | CallStageAlign | CallImuCalibrate | CallSessionBegin | CallSessionEnd | CallSessionList | CallSessionShow | CallSessionReport | CallSessionCorrect | CallSessionPeople | CallSessionForget | CallSessionPlans | CallSessionSavePlan | CallSessionDeletePlan | CallSetupRead | CallSetupSave | CallSetupFind | CallPhoneInvite | CallPhoneList | CallPhoneBlink | CallJobCancel | CallModelLoad"
 """Requests for the daemon. All but those that only tell something need the role `operate`: `replay.list`,
 `replay.track`, `replay.look`, `replay.labels`, `library.list`, `library.digest` without `make`, `health.history`,
 `exercise.list` and `exercise.demonstration`.
@@ -3562,8 +3574,14 @@ class SensorStatus(TypedDict):
     estimated: bool
     """Whether `lost` is partly estimated, because whole cycles left no trace in the bytes."""
 
+    firmware: str | None
+    """Version of its firmware, such as `0.7.3`; null likewise."""
+
     lost: int
     """Expected samples that were not published as `ok`, but for those with which its filter began."""
+
+    missed: int
+    """Those of `lost` that never came: by the device's own count where it has one."""
 
     name: str
     """Its name."""
@@ -3571,17 +3589,16 @@ class SensorStatus(TypedDict):
     rate_hz: float | None
     """Samples per second, of the last second or more; null before that."""
 
+    registered: bool | None
+    """Whether the receiver on USB through which it is to come knows it; null where it comes another way, or nobody
+    knows yet.
+    """
+
     samples: int
     """Samples that arrived."""
 
-    firmware: str | None
-    """Version of its firmware, such as `0.7.3`; null likewise."""
-
     signal_dbm: float | None
     """Strength of its radio signal, dBm (-50 is strong, -80 weak); null likewise."""
-
-    missed: int
-    """Those of `lost` that never came: by the device's own count where it has one."""
 
 
 class SensorsMessage(TypedDict):
@@ -3592,11 +3609,6 @@ class SensorsMessage(TypedDict):
 
     fault: NotRequired[FrameLabel | None]
     """What the fault map reports about the frame (field `fault`)."""
-    registered: bool | None
-    """Whether the receiver on USB through which it is to come knows it; null where it comes another way, or nobody
-    knows yet.
-    """
-
 
     frame: NotRequired[int | None]
     """Number of the frame (field `quality`)."""

@@ -271,6 +271,7 @@ impl Calls {
             Call::SetupFind { port } => self.find_ports(port, reply),
             Call::PhoneInvite {} => reply.answer(self.invite_phone()),
             Call::PhoneList {} => reply.answer(self.list_phones()),
+            Call::PhoneBlink { phone_id } => reply.answer(self.blink_phone(&phone_id)),
             Call::JobCancel { job } => match self.jobs.cancel(job) {
                 Ok(()) => {
                     self.inbox.command(Command::LookAtJobs);
@@ -367,6 +368,7 @@ fn is_slow(call: &Call) -> bool {
             | Call::SetupSave { .. }
             | Call::PhoneInvite {}
             | Call::PhoneList {}
+            | Call::PhoneBlink { .. }
     )
 }
 

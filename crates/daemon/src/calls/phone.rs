@@ -24,6 +24,11 @@ impl Calls {
         Ok(Some(Answer::Invitation(invitation)))
     }
 
+    pub(super) fn blink_phone(&self, id: &str) -> Result<Option<Answer>, Refusal> {
+        let shown = self.phones()?.gate().blink(id);
+        if shown { Ok(None) } else { Err(Refusal::new("not_connected", format!("`{id}` is not connected"))) }
+    }
+
     pub(super) fn list_phones(&self) -> Result<Option<Answer>, Refusal> {
         let phones = self.phones()?;
         let placing = phones.placing();

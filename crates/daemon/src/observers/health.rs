@@ -265,12 +265,12 @@ impl Health {
             battery_v: counted.condition.battery_v,
             signal_dbm: counted.condition.signal_dbm,
             corrected: counted.corrected,
-        };
             firmware: counted
                 .condition
                 .firmware
                 .map(|[major, minor, patch]| format!("{major}.{minor}.{patch}")),
             registered: counted.condition.registered,
+        };
         Status {
             t_s: now.as_secs_f64(),
             devices: self.devices.iter().zip(&pipeline.devices).zip(newest).map(device).collect(),

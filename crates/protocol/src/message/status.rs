@@ -113,15 +113,15 @@ pub struct SensorStatus {
     /// Whether its records are corrected by its unit's own biases and scales (`imu.calibrate`), kept from before or found just now.
     #[serde(default)]
     pub corrected: bool,
-}
-
-/// Latency of one stage of the flow, ms.
     /// Version of its firmware, such as `0.7.3`; null likewise.
     #[serde(default)]
     pub firmware: Option<String>,
     /// Whether the receiver on USB through which it is to come knows it; null where it comes another way, or nobody knows yet.
     #[serde(default)]
     pub registered: Option<bool>,
+}
+
+/// Latency of one stage of the flow, ms.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct StageLatency {
     /// From where to where.

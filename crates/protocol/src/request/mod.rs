@@ -493,6 +493,12 @@ pub enum Call {
     /// The phones and other devices that are connected to the websocket `/imu` just now.
     #[serde(rename = "phone.list")]
     PhoneList {},
+    /// Has one of them show itself: a phone's page flashes. Refused as `not_connected` where it is not there.
+    #[serde(rename = "phone.blink")]
+    PhoneBlink {
+        /// Its id.
+        phone_id: String,
+    },
     /// Cancels a job.
     #[serde(rename = "job.cancel")]
     JobCancel {

@@ -22,7 +22,7 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 53] = [
+const CALLS: [&str; 54] = [
     "record.start",
     "record.stop",
     "mark",
@@ -74,6 +74,7 @@ const CALLS: [&str; 53] = [
     "setup.find",
     "phone.invite",
     "phone.list",
+    "phone.blink",
     "job.cancel",
     "model.load",
 ];
@@ -149,7 +150,7 @@ fn shortened(text: &str) -> String {
 
 /// Requests of every kind, for tests and as seeds of the fuzz target.
 #[doc(hidden)]
-pub const REQUEST_EXAMPLES: [&str; 56] = [
+pub const REQUEST_EXAMPLES: [&str; 57] = [
     r#"{"type":"subscribe","id":1,"topics":["sensors"],"max_rate_hz":30,"sensors":["a"],"fields":["raw"],"drop":"queue"}"#,
     r#"{"type":"unsubscribe","id":"x","topics":["status","body"]}"#,
     r#"{"type":"resume","id":1,"after":7}"#,
@@ -205,6 +206,7 @@ pub const REQUEST_EXAMPLES: [&str; 56] = [
     r#"{"type":"setup.find","id":1,"port":"tcp://10.0.0.7:7000"}"#,
     r#"{"type":"phone.invite","id":1}"#,
     r#"{"type":"phone.list","id":1}"#,
+    r#"{"type":"phone.blink","id":1,"phone_id":"phone-3f9a01c2"}"#,
     r#"{"type":"model.load","id":1,"model":{"kind":"transmitter","position_m":[0,0,1],"orientation_wxyz":[1,0,0,0]}}"#,
 ];
 
