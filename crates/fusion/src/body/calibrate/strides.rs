@@ -101,8 +101,8 @@ fn way(
     }
     let [mut before, mut velocity] = moved[begin]?;
     let mut way_m = Vector3::zeros();
-    for at in begin + 1..=end {
-        let [now, _] = moved[at]?;
+    for (at, moved) in moved.iter().enumerate().take(end + 1).skip(begin + 1) {
+        let [now, _] = (*moved)?;
         let dt_s = t_s(at) - t_s(at - 1);
         let next = velocity + (before + now) * (0.5 * dt_s);
         way_m += (velocity + next) * (0.5 * dt_s);
