@@ -250,7 +250,8 @@ fn examples_of_3d_guidance_units() {
         (None, change(0x32, &[1]), "50 32 01"),
         (None, Command::Examine(0x03), "4F 03"),
         (None, rate(80.0), "50 07 00 50"),
-        (None, rate(68.3), "50 07 4C 44"),
+        // 68.3 Hz, cut where we round.
+        (None, change(0x07, &[0x4C, 0x44]), "50 07 4C 44"),
         (Some(3), Command::Examine(0x1A), "F3 4F 1A"),
         (Some(1), Command::Hemisphere(Hemisphere::Aft.bytes()), "F1 4C 00 01"),
         (None, change(0x03, &[1]), "50 03 01"),

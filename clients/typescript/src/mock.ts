@@ -49,7 +49,7 @@ function greeting(messages: Played[]): Hello & Played {
   return {
     type: "hello", version: "mock", stage: "mock", epoch_utc: "1970-01-01T00:00:00.000000000Z", topics,
     sensors: frame?.sensors.map(sensor) ?? [], bodies: [], skeleton: null, height_m: null,
-    transmitter: { position_m: [0, 0, 0], orientation_wxyz: [1, 0, 0, 0] }, role: "watch", last_event_id: 0,
+    transmitter: { position_m: [0, 0, 0], orientation_wxyz: [1, 0, 0, 0] }, transmitter_given: false, role: "watch", last_event_id: 0,
   };
 }
 
