@@ -74,7 +74,7 @@ pub use self::hub_server::{HubServer, StageEndpoint, StageRegistry};
 pub(crate) use self::listen::MakesWay;
 pub(crate) use self::listener::socket;
 pub use self::phones::CertificateError;
-pub use self::remote_files::{Answered, RemoteRecording, RemoteRecordings};
+pub use self::remote_files::{Answered, RemoteError, RemoteRecording, RemoteRecordings};
 pub use self::requests::{PendingCall, Refusal, Reply};
 pub(crate) use self::takes::{LetGo, Shelf, Take, TakeError};
 pub use self::tls::TlsError;

@@ -11,6 +11,7 @@ use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 use tokio::sync::watch;
 
 use super::listen::ConnectionContext;
@@ -19,7 +20,21 @@ use super::{files, http};
 use crate::ports::ended;
 
 /// What a stage answers, or why it does not.
-pub type Answered<T> = Pin<Box<dyn Future<Output = Result<T, String>> + Send>>;
+pub type Answered<T> = Pin<Box<dyn Future<Output = Result<T, RemoteError>> + Send>>;
+
+/// Why a stage does not give what it was asked for.
+#[derive(Debug, Error)]
+pub enum RemoteError {
+    /// It has a name that nobody can ask for over this link.
+    #[error("{0:?} has a character that no key may have: rename it at the stage")]
+    Name(String),
+    /// The stage does not answer, or refuses; as the link has it.
+    #[error(transparent)]
+    Unanswered(Box<dyn std::error::Error + Send + Sync>),
+    /// Its list of recordings is none.
+    #[error("the stage's list cannot be read: {0}")]
+    List(#[source] serde_json::Error),
+}
 
 /// A recording of a stage.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -48,8 +63,8 @@ pub(super) struct Asked<'a> {
 }
 
 impl Asked<'_> {
-    fn refused(&self, status: StatusCode, sentence: String) -> Response {
-        http::refuse(self.context, "file", (status, sentence))
+    fn refused(&self, status: StatusCode, sentence: impl ToString) -> Response {
+        http::refuse(self.context, "file", (status, sentence.to_string()))
     }
 
     /// Who may not look at the stage gets this instead.
@@ -63,9 +78,9 @@ impl Asked<'_> {
         if let Some(refusal) = self.refusal() {
             return refusal;
         }
-        match recordings.list().await.and_then(|list| serde_json::to_vec(&list).map_err(|e| e.to_string())) {
+        match recordings.list().await.and_then(|list| serde_json::to_vec(&list).map_err(RemoteError::List)) {
             Ok(json) => ([(header::CONTENT_TYPE, "application/json")], json).into_response(),
-            Err(sentence) => self.refused(StatusCode::BAD_GATEWAY, sentence),
+            Err(error) => self.refused(StatusCode::BAD_GATEWAY, error),
         }
     }
 
@@ -82,7 +97,7 @@ impl Asked<'_> {
                 }
                 None => self.refused(StatusCode::NOT_FOUND, format!("there is no such file: {name:?}")),
             },
-            Err(sentence) => self.refused(StatusCode::BAD_GATEWAY, sentence),
+            Err(error) => self.refused(StatusCode::BAD_GATEWAY, error),
         }
     }
 }

@@ -9,16 +9,15 @@ use zenoh::Session;
 
 use crate::wire::{Begin, ClockReading, Joined, Keys, LogChunk};
 use posed_daemon::StageClock;
-use posed_daemon::server::{Answered, RemoteRecording, RemoteRecordings};
+use posed_daemon::server::{Answered, RemoteError, RemoteRecording, RemoteRecordings};
 use posed_protocol::unpack;
 
 /// Longest wait for an answer. A question that was lost with a link is asked again.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// A clock is read over a quick round trip or not at all.
-const CLOCK_PATIENCE: Duration = Duration::from_millis(500);
-
 /// The same for a file: its disk may be slow.
 const FILE_PATIENCE: Duration = Duration::from_secs(10);
+/// A clock is read over a quick round trip or not at all.
+const CLOCK_PATIENCE: Duration = Duration::from_millis(500);
 
 /// An answer, or why there is none.
 pub(super) enum Answer {
@@ -117,28 +116,25 @@ impl Recordings {
     fn asked<T>(
         &self,
         selector: String,
-        read: impl FnOnce(Vec<u8>) -> Result<T, String> + Send + 'static,
+        read: impl FnOnce(Vec<u8>) -> Result<T, RemoteError> + Send + 'static,
     ) -> Answered<T> {
         let session = self.session.clone();
         Box::pin(async move {
-            let answer = asked(&session, &selector, FILE_PATIENCE).await;
-            read(answer.map_err(|error| error.to_string())?)
+            read(asked(&session, &selector, FILE_PATIENCE).await.map_err(RemoteError::Unanswered)?)
         })
     }
 }
 
 impl RemoteRecordings for Recordings {
     fn list(&self) -> Answered<Vec<RemoteRecording>> {
-        self.asked(self.key.clone(), |json| {
-            serde_json::from_slice(&json).map_err(|error| format!("the stage's list cannot be read: {error}"))
-        })
+        self.asked(self.key.clone(), |json| serde_json::from_slice(&json).map_err(RemoteError::List))
     }
 
     fn piece(&self, name: &str, offset: u64) -> Answered<Vec<u8>> {
         // What zenoh reads as something else than a name.
         if name.contains(['*', '$', '?', '#', '/']) {
-            let sentence = format!("{name:?} has a character that no key may have: rename it at the stage");
-            return Box::pin(async { Err(sentence) });
+            let name = name.to_owned();
+            return Box::pin(async { Err(RemoteError::Name(name)) });
         }
         self.asked(format!("{}/{name}?offset={offset}", self.key), Ok)
     }
