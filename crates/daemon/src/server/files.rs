@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use axum::Router;
 use axum::body::{Body, Bytes};
-use axum::extract::{Extension, Path as PathOf, State};
+use axum::extract::{Path as PathOf, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
@@ -52,10 +52,9 @@ impl Files {
             get(
                 async move |State(files): State<Self>,
                             PathOf(name): PathOf<String>,
-                            slot: http::SlotOf,
+                            http::SlotOf(slot): http::SlotOf,
                             headers: HeaderMap,
                             uri: Uri| {
-                    let slot = slot.ok().map(|Extension(slot)| slot);
                     files.answer(kind, &name, slot, &headers, &uri).await
                 },
             )

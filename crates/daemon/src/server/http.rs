@@ -1,15 +1,17 @@
 //! What can be asked over HTTP: the page, `/phone` and `/imu`, `/ws` (and Foxglove's websocket at `/` too), `/metrics`, `/health`, `/takes`, `/recordings`, `/exports`; and who is refused before that.
 
+use std::convert::Infallible;
 use std::sync::Arc;
 
+use axum::Router;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::extract::{Extension, Path, Request, State};
+use axum::extract::{FromRequestParts, Path, Request, State};
+use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Redirect, Response};
 use axum::routing::get;
-use axum::{Router, extract::rejection::ExtensionRejection};
 
 use super::access::Refusal;
 use super::files::Files;
@@ -137,7 +139,7 @@ pub(super) fn counts(
 /// The page; and the websocket of Foxglove viewers, who are given an address without a path.
 pub(super) async fn root(
     shared: State<Arc<Shared>>,
-    slot: Result<Extension<Arc<Slot>>, ExtensionRejection>,
+    slot: SlotOf,
     headers: HeaderMap,
     uri: Uri,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
@@ -158,16 +160,23 @@ pub(super) async fn root(
 }
 
 /// The place of a connection, where there is one.
-pub(super) type SlotOf = Result<Extension<Arc<Slot>>, ExtensionRejection>;
+pub(super) struct SlotOf(pub(super) Option<Arc<Slot>>);
+
+impl<S: Sync> FromRequestParts<S> for SlotOf {
+    type Rejection = Infallible;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Infallible> {
+        Ok(Self(parts.extensions.get().cloned()))
+    }
+}
 
 pub(super) async fn websocket(
     State(shared): State<Arc<Shared>>,
-    slot: SlotOf,
+    SlotOf(slot): SlotOf,
     headers: HeaderMap,
     uri: Uri,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    let slot = slot.ok().map(|Extension(slot)| slot);
     match admit(&shared.context, &headers, &uri, slot.as_deref()) {
         Ok(role) => admitted(shared, slot, role, upgrade, ()),
         Err((reason, refusal)) => refuse(&shared.context, reason, refusal),

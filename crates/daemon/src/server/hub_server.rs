@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use axum::Router;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::extract::{Extension, Path as PathOf, State};
+use axum::extract::{Path as PathOf, State};
 use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
@@ -257,13 +257,12 @@ async fn metrics(State(registry): State<StageRegistry>, headers: HeaderMap, uri:
 /// The websocket for all stages.
 async fn everything(
     State(registry): State<StageRegistry>,
-    slot: http::SlotOf,
+    http::SlotOf(slot): http::SlotOf,
     headers: HeaderMap,
     uri: Uri,
     upgrade: WebSocketUpgrade,
 ) -> Response {
     let context = Arc::clone(&registry.registered.context);
-    let slot = slot.ok().map(|Extension(slot)| slot);
     if let Err((reason, refusal)) = http::admit(&context, &headers, &uri, slot.as_deref()) {
         return http::refuse(&context, reason, refusal);
     }
@@ -328,24 +327,22 @@ async fn stage_health(State(registry): State<StageRegistry>, PathOf(id): PathOf<
 async fn stage_recordings(
     State(registry): State<StageRegistry>,
     PathOf(id): PathOf<String>,
-    slot: http::SlotOf,
+    http::SlotOf(slot): http::SlotOf,
     headers: HeaderMap,
     uri: Uri,
 ) -> Response {
     let Some(Joined { shared, recordings }) = registry.joined(&id) else { return unknown() };
-    let slot = slot.ok().map(|Extension(slot)| slot);
     Asked { context: &shared.context, slot, headers: &headers, uri: &uri }.list(recordings).await
 }
 
 async fn stage_recording(
     State(registry): State<StageRegistry>,
     PathOf((id, name)): PathOf<(String, String)>,
-    slot: http::SlotOf,
+    http::SlotOf(slot): http::SlotOf,
     headers: HeaderMap,
     uri: Uri,
 ) -> Response {
     let Some(Joined { shared, recordings }) = registry.joined(&id) else { return unknown() };
-    let slot = slot.ok().map(|Extension(slot)| slot);
     Asked { context: &shared.context, slot, headers: &headers, uri: &uri }.file(recordings, &name).await
 }
 

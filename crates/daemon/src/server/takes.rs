@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use axum::Router;
 use axum::extract::ws::WebSocketUpgrade;
-use axum::extract::{Extension, Path as PathOf, State};
+use axum::extract::{Path as PathOf, State};
 use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::Response;
 use axum::routing::get;
@@ -233,12 +233,11 @@ impl Takes {
 async fn websocket(
     State(takes): State<Takes>,
     PathOf(name): PathOf<String>,
-    slot: http::SlotOf,
+    http::SlotOf(slot): http::SlotOf,
     headers: HeaderMap,
     uri: Uri,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    let slot = slot.ok().map(|Extension(slot)| slot);
     // Nobody opens anything who may not look at it.
     let role = match http::admit(&takes.context, &headers, &uri, slot.as_deref()) {
         Ok(role) => role,

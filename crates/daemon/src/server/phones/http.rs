@@ -57,13 +57,12 @@ async fn authority(State(served): State<Served>) -> Response {
 async fn websocket(
     State(served): State<Served>,
     Extension(Peer(peer)): Extension<Peer>,
-    slot: SlotOf,
+    SlotOf(slot): SlotOf,
     headers: HeaderMap,
     uri: Uri,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Response {
     let Served { phones, context, token } = served;
-    let slot = slot.ok().map(|Extension(slot)| slot);
     let is_needed = token == TokenIs::Needed || !context.access.tokens.is_empty();
     let own = phones.token();
     let admitted =
