@@ -79,7 +79,7 @@ use self::fusion::{Command, Fusion, INBOX_CAPACITY};
 use self::inbox::Inbox;
 use self::jobs::Jobs;
 use self::library::TakeLibrary;
-use self::link::{Link, Published};
+use self::link::Link;
 use self::models::{Library, Loaded};
 use self::observers::Observers;
 use self::ports::{DevicePort, PortTask};
@@ -124,7 +124,7 @@ pub struct Options {
     /// reports the problem.
     pub link: Option<link::Connect>,
     /// What publishes for ROS 2, where the stage file has `[ros2]`; absent, as with `link`.
-    pub ros2: Option<link::Publish>,
+    pub ros2: Option<link::Connect>,
 }
 
 impl Options {
@@ -235,30 +235,21 @@ impl Daemon {
         let inbox = Inbox::new(INBOX_CAPACITY);
         let recordings = stage.recording.folder.clone().unwrap_or_else(|| data.join("recordings"));
         let (mut feeds, mut links, mut log) = (Vec::new(), Vec::new(), None);
-        let context =
-            || link::Context { stage: &stage, clock, inbox: inbox.clone(), recordings: recordings.clone() };
-        // The stage runs without them too.
-        let mut failed = |code, error: Box<dyn std::error::Error + Send + Sync>| {
-            tracing::warn!("{error}");
-            config.problems.push(Problem::new(code, error.to_string()));
-        };
-        if stage.zenoh.is_some() {
-            match link.ok_or_else(|| link::ABSENT.into()).and_then(|connect| connect(context())) {
+        let asked = [("zenoh", stage.zenoh.is_some(), link), ("ros2", stage.ros2.is_some(), ros2)];
+        for (table, _, connect) in asked.into_iter().filter(|(_, is_asked, _)| *is_asked) {
+            let context =
+                link::Context { stage: &stage, clock, inbox: inbox.clone(), recordings: recordings.clone() };
+            match connect.ok_or_else(|| link::absent(table).into()).and_then(|connect| connect(context)) {
                 Ok(Link { feed, log: logs, session }) => {
                     feeds.push(feed);
                     links.push(session);
-                    log = Some(logs);
+                    log = log.or(logs);
                 }
-                Err(error) => failed("zenoh", error),
-            }
-        }
-        if stage.ros2.is_some() {
-            match ros2.ok_or_else(|| link::ROS2_ABSENT.into()).and_then(|publish| publish(context())) {
-                Ok(Published { feed, session }) => {
-                    feeds.push(feed);
-                    links.push(session);
+                // The stage runs without it too.
+                Err(error) => {
+                    tracing::warn!("{error}");
+                    config.problems.push(Problem::new(table, error.to_string()));
                 }
-                Err(error) => failed("ros2", error),
             }
         }
         let library = TakeLibrary::start(recordings.clone()).map_err(StartError::Thread)?;

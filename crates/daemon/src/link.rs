@@ -13,17 +13,15 @@ use super::server::Item;
 use posed_protocol::{Names, Problem, Stamp};
 use posed_stage::Stage;
 
-/// What is reported of a stage that asks for a link in a program that has none.
-pub(super) const ABSENT: &str = "[zenoh]: this posed was built without zenoh; install the packaged one, or build it with `--features zenoh`";
-
-/// What is reported of a stage that asks for ROS 2 in such a program.
-pub(super) const ROS2_ABSENT: &str = "[ros2]: this posed was built without zenoh; install the packaged one, or build it with `--features zenoh`";
+/// What is reported of a stage whose file has this table, in a program that has no link for it.
+pub(super) fn absent(table: &str) -> String {
+    format!(
+        "[{table}]: this posed was built without zenoh; install the packaged one, or build it with `--features zenoh`"
+    )
+}
 
 /// Begins a link. The error is a sentence for the operator: the stage runs without it too.
 pub type Connect = fn(Context<'_>) -> Result<Link, Box<dyn std::error::Error + Send + Sync>>;
-
-/// Begins what only publishes. The error is a sentence for the operator: the stage runs without it too.
-pub type Publish = fn(Context<'_>) -> Result<Published, Box<dyn std::error::Error + Send + Sync>>;
 
 /// What a link is begun with.
 #[derive(Debug)]
@@ -38,20 +36,12 @@ pub struct Context<'a> {
     pub recordings: PathBuf,
 }
 
-/// A link at work: the three ends that the daemon keeps.
+/// A link at work: the ends that the daemon keeps.
 pub struct Link {
     /// Takes what is published.
     pub feed: Box<dyn Feed>,
-    /// Takes the input log, on the fusion thread: every entry, in order.
-    pub log: Box<dyn Observer + Send>,
-    /// Dropped when the stage has ended, where it may block.
-    pub session: Box<dyn Any + Send>,
-}
-
-/// What only publishes, at work: the two ends that the daemon keeps.
-pub struct Published {
-    /// Takes what is published.
-    pub feed: Box<dyn Feed>,
+    /// Takes the input log, on the fusion thread: every entry, in order; absent where it only publishes.
+    pub log: Option<Box<dyn Observer + Send>>,
     /// Dropped when the stage has ended, where it may block.
     pub session: Box<dyn Any + Send>,
 }

@@ -90,7 +90,7 @@ impl Threads {
         }
         this.threads.push(answers.start(session, stopped)?);
         tracing::info!("on zenoh as {}", keys.stage());
-        Ok(Link { feed: Box::new(feed), log: Box::new(log), session: Box::new(this) })
+        Ok(Link { feed: Box::new(feed), log: Some(Box::new(log)), session: Box::new(this) })
     }
 }
 

@@ -16,7 +16,7 @@ use zenoh::{Session, Wait};
 
 use super::session::{open_client, thread};
 use posed_daemon::StageClock;
-use posed_daemon::link::{Context, Feed, Published};
+use posed_daemon::link::{Context, Feed, Link};
 use posed_daemon::server::Item;
 use posed_protocol::ros2::{self, DEFAULT_ROUTER, attachment, gid};
 use posed_protocol::{Names, Problem, Stamp};
@@ -33,7 +33,7 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 ///
 /// # Errors
 /// A [`LinkError`](super::session::LinkError): there is no thread.
-pub fn publish_ros2(context: Context<'_>) -> zenoh::Result<Published> {
+pub fn publish_ros2(context: Context<'_>) -> zenoh::Result<Link> {
     let Context { stage, clock, .. } = context;
     let settings = stage.ros2.clone().unwrap_or_default();
     let routers = settings.connect.clone().unwrap_or_else(|| vec![DEFAULT_ROUTER.to_owned()]);
@@ -50,7 +50,7 @@ pub fn publish_ros2(context: Context<'_>) -> zenoh::Result<Published> {
     });
     let session = Running { stop: Some(stop), thread: Some(runs?) };
     let feed = Ros2Feed { publisher: Mutex::new(publisher), sender, shared, at };
-    Ok(Published { feed: Box::new(feed), session: Box::new(session) })
+    Ok(Link { feed: Box::new(feed), log: None, session: Box::new(session) })
 }
 
 /// What the thread and the feed know of each other.
