@@ -13,7 +13,7 @@ use posed_geometry::GRAVITY_M_S2;
 /// Without a sample for so long, a sensor is silent, s.
 const SILENT_S: f64 = 0.5;
 /// For so long after it a number that is none, a saturated one or a misfit is reported, s.
-const TOLD_S: f64 = 1.0;
+pub(super) const TOLD_S: f64 = 1.0;
 /// 98 % of 16 g and of 2000 deg/s, the widest ranges of the usual units.
 const ACCEL_RANGE_M_S2: f64 = 0.98 * 16.0 * GRAVITY_M_S2;
 const GYRO_RANGE_RAD_S: f64 = 0.98 * 34.9;

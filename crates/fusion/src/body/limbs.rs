@@ -6,6 +6,7 @@
 use nalgebra::{SVector, UnitQuaternion, Vector3};
 use posed_state::Plain;
 
+use super::health::TOLD_S;
 use super::skeleton::{BodySegment, Limb, SEGMENTS, Skeleton};
 use super::{BodyParams, Sensor, SensorMount, joint_angles};
 use crate::ahrs::ImuSample;
@@ -23,12 +24,12 @@ const NORTH: FieldReference =
 /// middle of a movement. It finds no way back, and begins anew.
 const ASTRAY_RAD: f64 = 0.5;
 const ASTRAY_S: f64 = 1.0;
-/// A sensor that is said not to fit for so long, s, has slipped: it is said for a second longer than it is so, and what a joint does that is no hinge, or a blow, is over by
-/// then. Then so long is waited for what its movements show.
-const LOOSE_S: f64 = 4.0;
+/// A sensor that is said not to fit for so long, s, has slipped: three seconds longer than is said of what is over, such as a blow, or what a joint does that is no hinge.
+const LOOSE_S: f64 = TOLD_S + 3.0;
 /// What does not fit in the first seconds of a limb, s, is how it began, in the middle of a movement: after so long of it, s, it begins anew.
 const YOUNG_S: f64 = 10.0;
 const BEGUN_WRONG_S: f64 = 1.5;
+/// Once one has slipped, so long is waited for what its movements show, s.
 const PATIENCE_S: f64 = 20.0;
 /// A mounting that is known so well again has been found, rad.
 const FOUND_RAD: f64 = 0.12;
@@ -217,7 +218,7 @@ impl LimbFilter {
         let loose_s = &mut self.loose_s[which];
         *loose_s = if misfit { *loose_s + dt_s } else { 0.0 };
         let loose_s = *loose_s;
-        // Both sensors are looked at.
+        // This is called for each of two sensors.
         self.young_s = self.young_s.map(|ago_s| ago_s + 0.5 * dt_s).filter(|ago_s| *ago_s < YOUNG_S);
         if self.young_s.is_some() && self.mending.is_none() && loose_s > BEGUN_WRONG_S {
             self.loose_s = [0.0; 2];

@@ -89,6 +89,9 @@ fn knees(session: &Session<'_>, block: &Block, skeleton: &Skeleton) -> Result<Ve
     let legs = [[BodySegment::ThighR, BodySegment::ShankR], [BodySegment::ThighL, BodySegment::ShankL]];
     let worn = legs.into_iter().filter(|leg| leg.iter().all(|segment| session.present[segment.index()]));
     let mut knees: Vec<Knee> = worn.map(|leg| knee(session, block, leg)).collect::<Result<_, _>>()?;
+    if knees.is_empty() {
+        return Ok(knees);
+    }
     let range = session.range(block);
     if let [first, second] = knees.as_mut_slice() {
         let along = range.clone().map(|k| first.ahead(session, k).dot(&second.ahead(session, k)));
@@ -110,9 +113,6 @@ fn knees(session: &Session<'_>, block: &Block, skeleton: &Skeleton) -> Result<Ve
         .map(|stride| stride.way_m.dot(&ahead(stride.middle)))
         .collect();
     let skewnesses: Vec<f64> = knees.iter().map(Knee::skewness).collect();
-    if knees.is_empty() {
-        return Ok(knees);
-    }
     if way(&strides_m, &skewnesses).ok_or(Contradiction::NoWay)? < 0.0 {
         knees.iter_mut().for_each(Knee::turn);
     }
