@@ -2,11 +2,11 @@
 //!
 //! In: the folder, names that clients give. Out: names in order, paths. Never: a path that leads out of the folder.
 
-use posed_protocol::RefusalReason;
 use std::io;
 use std::path::{Path, PathBuf};
 
 use super::server::Refusal;
+use posed_protocol::RefusalReason;
 use posed_recording::is_recording;
 
 /// Why a recording is not found.

@@ -22,6 +22,7 @@ use super::examine::{Examination, Failure, Findings, Progress};
 use super::family::{Family, INPUTS};
 use super::settings::{Mode, Settings, SettingsError};
 use crate::sample::Timestamp;
+use crate::serial::stations;
 use crate::session::{Counters, LineEvent, Output, SensorInfo, Session, State};
 use configure::Configuring;
 use stream::{POINT_LIMIT, Streaming};
@@ -85,29 +86,15 @@ impl FlockSession {
     /// unit one that is not 1 to 4.
     pub fn new(settings: Settings, baud: u32, wanted: &[u16]) -> Result<Self, SettingsError> {
         settings.validate()?;
-        let guidance = settings.family == Family::Guidance;
-        let expected = if guidance {
-            "different numbers from 1 to 4"
-        } else {
-            "0 alone, or different numbers from 1 to 126"
+        let wanted = match settings.family {
+            Family::Flock if wanted == [0] => vec![0],
+            Family::Flock => stations(wanted, 126, "0 alone, or different numbers from 1 to 126")?,
+            Family::Guidance => stations(wanted, *INPUTS.end(), "different numbers from 1 to 4")?,
         };
-        let bad = SettingsError { key: "address", expected };
-        let mut addresses: Vec<u8> =
-            wanted.iter().map(|&address| u8::try_from(address).map_err(|_| bad)).collect::<Result<_, _>>()?;
-        addresses.sort_unstable();
-        let distinct = addresses.windows(2).all(|pair| pair[0] != pair[1]);
-        let in_range = if guidance {
-            addresses.iter().all(|address| INPUTS.contains(address))
-        } else {
-            addresses == [0] || addresses.iter().all(|address| (1..=126).contains(address))
-        };
-        if addresses.is_empty() || !distinct || !in_range {
-            return Err(bad);
-        }
         Ok(Self {
             settings,
             baud,
-            wanted: addresses,
+            wanted,
             phase: Phase::Closed,
             state: State::Connecting { reason: "the port is not open yet".into() },
             counters: Counters::default(),

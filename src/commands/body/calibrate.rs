@@ -3,6 +3,7 @@
 //! In: the daemon's websocket. Out: what to do next, a line each, and in the end how well every sensor's mounting shows. It decides
 //! nothing: the daemon notices what was done, and uses what it finds. Ctrl-C cancels.
 
+use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use posed_client::{
     Call, Choice, Client, Error as ClientError, Job, JobState, ServerMessage, Started, Topic,
 };
@@ -20,8 +21,8 @@ use super::{Error, print, print_json};
 )]
 pub(super) struct Calibrate {
     /// What is done: two poses; also elbows and knees; walking about, without a pose; or every limb, which also finds which sensor sits where.
-    #[arg(long, value_parser = ["quick", "full", "movement", "assign"], default_value = "full")]
-    how: String,
+    #[arg(long, value_parser = PossibleValuesParser::new(["quick", "full", "movement", "assign"]).try_map(thoroughness), default_value = "full")]
+    how: Thoroughness,
     /// Whom, by the name of the body, where the stage has several.
     #[arg(long, value_name = "NAME")]
     body: Option<String>,
@@ -42,7 +43,7 @@ pub(super) fn run(args: &Calibrate) -> Result<(), Error> {
         let mut daemon =
             Client::connect(&args.at, args.token.as_deref()).await.map_err(error)?.without_reconnection();
         daemon.subscribe(Choice::of([Topic::Jobs])).await.map_err(error)?;
-        let call = Call::BodyCalibrate { how: Some(args.thoroughness()), body: args.body.clone() };
+        let call = Call::BodyCalibrate { how: Some(args.how), body: args.body.clone() };
         let Started { job: number } = daemon.request(&call).await.map_err(error)?;
         let mut end = End::new(None)?;
         let mut reported = String::new();
@@ -67,15 +68,9 @@ pub(super) fn run(args: &Calibrate) -> Result<(), Error> {
     })
 }
 
-impl Calibrate {
-    fn thoroughness(&self) -> Thoroughness {
-        match self.how.as_str() {
-            "quick" => Thoroughness::Quick,
-            "movement" => Thoroughness::Movement,
-            "assign" => Thoroughness::Assign,
-            _ => Thoroughness::Full,
-        }
-    }
+/// As requests have it.
+fn thoroughness(how: String) -> Result<Thoroughness, serde_json::Error> {
+    serde_json::from_value(how.into())
 }
 
 /// What the daemon refuses or does not answer.

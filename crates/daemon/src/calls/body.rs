@@ -4,7 +4,6 @@
 //! the end a mounting for the pipeline, with who sits where if that was asked too, or one sentence about what to repeat. A mounting
 //! that is not good is not used.
 
-use posed_protocol::RefusalReason;
 use serde_json::{Map, Value, json};
 
 use super::super::fusion::{Command, FusionInbox};
@@ -19,6 +18,7 @@ use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton};
 use posed_fusion::body::{Guide, Places, Thoroughness, Trackers};
 use posed_geometry::orientation_to_wxyz;
 use posed_pipeline::all_have_field;
+use posed_protocol::RefusalReason;
 use posed_stage::input::{Model, MountedSensor, SensorIndex};
 use posed_stage::layout::{ChainLayout, Wearers, offset_on, segment_of, skeleton_of};
 use posed_stage::{BodyIndex, Stage, body_named};

@@ -3,7 +3,6 @@
 //! Teaching is a job on a thread of its own. It asks the fusion thread for the newest seconds, and what it has learned
 //! goes the way of every model and request: through the input log.
 
-use posed_protocol::RefusalReason;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -17,6 +16,7 @@ use super::super::server::{self, Reply};
 use super::Calls;
 use posed_motion::exercise::{Exercise, Options, Refusal, Report, Stream, columns_of, rests, teach};
 use posed_pipeline::DEFAULT_SUBJECT;
+use posed_protocol::RefusalReason;
 use posed_stage::input::{Model, Plan, Request};
 use posed_stage::{BodyIndex, body_counted, signals};
 

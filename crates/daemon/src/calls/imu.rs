@@ -4,7 +4,6 @@
 //! message, and which directions were held, as its result; in the end a file of the unit and a model for the pipeline, through its
 //! log. Intrinsics that are not good are neither kept nor used.
 
-use posed_protocol::RefusalReason;
 use std::io::Write;
 use std::path::PathBuf;
 
@@ -20,6 +19,7 @@ use super::guided::{self, Guided};
 use posed_fusion::ahrs::ImuSample;
 use posed_fusion::intrinsics::{Ask, Guide, Progress};
 use posed_fusion::intrinsics::{Intrinsics, SIDES};
+use posed_protocol::RefusalReason;
 use posed_recording::AtomicFile;
 use posed_stage::Driver;
 use posed_stage::input::{Model, SensorIndex};

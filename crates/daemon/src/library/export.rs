@@ -1,6 +1,5 @@
 //! `library.export`: what `posed export` writes, into a folder from where it is fetched.
 
-use posed_protocol::RefusalReason;
 use std::path::Path;
 
 use serde_json::json;
@@ -9,6 +8,7 @@ use super::{EXPORTS, Librarian, NICE, Progress, Use};
 use crate::jobs::{Jobs, give_way};
 use crate::recordings;
 use crate::server::{Refusal, Reply};
+use posed_protocol::RefusalReason;
 use posed_recording::export::Export;
 
 /// What is asked for, in the words of `posed export`.
