@@ -87,15 +87,15 @@ impl FieldMap {
             }
             [change.x, change.y, change.z, outside]
         });
-        if metal.is_some() {
+        if let Some(metal) = &metal {
             // Farther outside nobody asks for a tenth of a millimetre.
             let tolerance = |z: &Vector3<f64>| {
                 let rough_m = ROUGH_M.max(ROUGH_SHARE * self.noise.mean_square_m2(z).sqrt());
                 (self.hull.outside_m(z) <= KEEP_M).then_some(rough_m)
             };
             positions.refine(tolerance, |z| {
-                let change = correction(z);
-                [change.x, change.y, change.z, self.hull.outside_m(z)]
+                let change = self.model.plain_in(metal, z)? - z;
+                Some([change.x, change.y, change.z, self.hull.outside_m(z)])
             });
         }
         let sigma = trust::sigma(self, &positions, &shape, metal.as_ref());
@@ -103,7 +103,8 @@ impl FieldMap {
             let z_in = self.hull.inward(z);
             let mut q = UnitQuaternion::identity();
             if let Some(metal) = &metal {
-                q = by_metal(metal, &z_in, &(z_in + correction(&z_in)));
+                let position = looked_up(&positions, &self.model, Some(metal), &z_in).0;
+                q = by_metal(metal, &z_in, &position);
             }
             if let Some(rotation) = &self.rotation {
                 q = so3::exp(&rotation.at(&z_in)) * q;
@@ -128,15 +129,22 @@ impl FieldMap {
     }
 }
 
+/// The corrected position by the grid, and by the model where that is too coarse; and how far outside the hull the reading is, m.
+fn looked_up(
+    positions: &Grid,
+    model: &Model,
+    metal: Option<&Metal>,
+    z: &Vector3<f64>,
+) -> (Vector3<f64>, f64) {
+    let ([x, y, w, outside], sound) = positions.fine(z);
+    let p = z + Vector3::new(x, y, w);
+    (if sound { p } else { model.answer_in(metal, z, Some(p)) }, outside)
+}
+
 impl Corrector {
     /// The corrected position before the alignment, and how far outside the hull the reading is, m.
     pub(crate) fn unaligned(&self, z: &Vector3<f64>) -> (Vector3<f64>, f64) {
-        let ([x, y, w, outside], sound) = self.positions.fine(z);
-        let p = z + Vector3::new(x, y, w);
-        if !sound {
-            return (self.model.answer_in(self.metal.as_ref(), z, Some(p)), outside);
-        }
-        (p, outside)
+        looked_up(&self.positions, &self.model, self.metal.as_ref(), z)
     }
 
     fn align(&self, p: Vector3<f64>) -> Vector3<f64> {

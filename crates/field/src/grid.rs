@@ -74,6 +74,13 @@ pub(crate) struct Grid {
     patches: Vec<Patch>,
 }
 
+/// What a cell needs where the spline may be too coarse.
+enum Cell {
+    Smooth,
+    Patched(Box<Patch>),
+    Torn,
+}
+
 impl Grid {
     /// Asks for the values at all nodes.
     pub(crate) fn new(shape: Shape, at: impl Fn(&Vector3<f64>) -> [f64; 4] + Sync) -> Self {
@@ -91,55 +98,67 @@ impl Grid {
     }
 
     /// Compares the spline with what it stands for in each cell. A cell in which its first three numbers are
-    /// wrong by more than the `tolerance` (where there is one) gets a patch; one in which a patch is too, is remembered as torn.
+    /// wrong by more than the `tolerance` (where there is one) gets a patch; one in which a patch is too, or where
+    /// what it stands for is not smooth (`None`), is remembered as torn.
     pub(crate) fn refine(
         &mut self,
         tolerance: impl Fn(&Vector3<f64>) -> Option<f64> + Sync,
-        exact: impl Fn(&Vector3<f64>) -> [f64; 4] + Sync,
+        exact: impl Fn(&Vector3<f64>) -> Option<[f64; 4]> + Sync,
     ) {
         let step = self.shape.step_m;
         let this = &*self;
-        let refined: Vec<Option<Option<Patch>>> = (0..this.shape.len())
+        let refined: Vec<Cell> = (0..this.shape.len())
             .into_par_iter()
             .map(|index| {
                 let low = this.shape.position_m(index);
                 let within = |share: [f64; 3]| low + Vector3::from(share) * step;
-                let middle = within([0.5; 3]);
-                let tolerance = tolerance(&middle)?;
-                let first = far(&this.cubic(&middle), &exact(&middle));
-                // Where the middle is nearly too bad, other places may be.
-                if first < 0.25 * tolerance {
-                    return None;
-                }
-                let asked = |share: [f64; 3]| exact(&within(share));
-                let truth = TRIED.map(asked);
-                let all = |said: &dyn Fn([f64; 3]) -> [f64; 4], tolerance: f64| {
-                    TRIED.iter().zip(&truth).all(|(share, truth)| far(&said(*share), truth) <= tolerance)
-                };
-                if first <= tolerance && all(&|share| this.cubic(&within(share)), tolerance) {
-                    return None;
-                }
-                let holds = |patch: &Patch, tolerance: f64| {
-                    all(&|share| patch.at(share.map(|x| x as f32)).map(f64::from), tolerance)
-                };
-                if !holds(&Patch::sketch(asked), TORN_TOLERANCES * tolerance) {
-                    return Some(None);
-                }
-                let patch = Patch::new(asked);
-                Some(holds(&patch, tolerance).then_some(patch))
+                let Some(tolerance) = tolerance(&within([0.5; 3])) else { return Cell::Smooth };
+                this.refined(tolerance, within, |share| exact(&within(share))).unwrap_or(Cell::Torn)
             })
             .collect();
         self.details = vec![SPLINE; refined.len()];
         for (detail, refined) in self.details.iter_mut().zip(refined) {
             match refined {
-                None => {}
-                Some(Some(patch)) if self.patches.len() < usize::from(TORN) => {
+                Cell::Smooth => {}
+                Cell::Patched(patch) if self.patches.len() < usize::from(TORN) => {
                     *detail = self.patches.len() as u16;
-                    self.patches.push(patch);
+                    self.patches.push(*patch);
                 }
-                Some(_) => *detail = TORN,
+                Cell::Patched(_) | Cell::Torn => *detail = TORN,
             }
         }
+    }
+
+    /// What one cell needs, by places `within` it; `None` where what it stands for has no answer.
+    fn refined(
+        &self,
+        tolerance: f64,
+        within: impl Fn([f64; 3]) -> Vector3<f64>,
+        exact: impl Fn([f64; 3]) -> Option<[f64; 4]>,
+    ) -> Option<Cell> {
+        let first = far(&self.cubic(&within([0.5; 3])), &exact([0.5; 3])?);
+        // Where the middle is nearly too bad, other places may be.
+        if first < 0.25 * tolerance {
+            return Some(Cell::Smooth);
+        }
+        let mut truth = [[0.0; 4]; TRIED.len()];
+        for (truth, share) in truth.iter_mut().zip(TRIED) {
+            *truth = exact(share)?;
+        }
+        let all = |said: &dyn Fn([f64; 3]) -> [f64; 4], tolerance: f64| {
+            TRIED.iter().zip(&truth).all(|(share, truth)| far(&said(*share), truth) <= tolerance)
+        };
+        if first <= tolerance && all(&|share| self.cubic(&within(share)), tolerance) {
+            return Some(Cell::Smooth);
+        }
+        let holds = |patch: &Patch, tolerance: f64| {
+            all(&|share| patch.at(share.map(|x| x as f32)).map(f64::from), tolerance)
+        };
+        if !holds(&Patch::sketch(&exact)?, TORN_TOLERANCES * tolerance) {
+            return None;
+        }
+        let patch = Patch::new(&exact)?;
+        holds(&patch, tolerance).then(|| Cell::Patched(Box::new(patch)))
     }
 
     /// As [`Grid::cubic`], but from the patch where there is one; and whether that is right, which it is not where the

@@ -19,21 +19,22 @@ pub(crate) struct Patch {
 }
 
 impl Patch {
-    /// Asks for the values at the nodes.
-    pub(crate) fn new(mut at: impl FnMut([f64; 3]) -> [f64; 4]) -> Self {
-        let values = std::array::from_fn(|k| {
+    /// Asks for the values at the nodes; `None` where one has none.
+    pub(crate) fn new(mut at: impl FnMut([f64; 3]) -> Option<[f64; 4]>) -> Option<Self> {
+        let mut values = [[0.0; 4]; NODES * NODES * NODES];
+        for (k, value) in values.iter_mut().enumerate() {
             let [i, j, l] = [k % NODES, k / NODES % NODES, k / (NODES * NODES)];
-            at([KNOTS[i], KNOTS[j], KNOTS[l]]).map(|x| x as f32)
-        });
-        Self { values }
+            *value = at([KNOTS[i], KNOTS[j], KNOTS[l]])?.map(|x| x as f32);
+        }
+        Some(Self { values })
     }
 
     /// Asks at every other node only; at the others it has what a polynomial of degree 2 along each axis makes of these.
-    pub(crate) fn sketch(mut at: impl FnMut([f64; 3]) -> [f64; 4]) -> Self {
-        let few: [[f64; 4]; FEW * FEW * FEW] =
-            std::array::from_fn(
-                |k| at([k % FEW, k / FEW % FEW, k / (FEW * FEW)].map(|node| KNOTS[2 * node])),
-            );
+    pub(crate) fn sketch(mut at: impl FnMut([f64; 3]) -> Option<[f64; 4]>) -> Option<Self> {
+        let mut few = [[0.0; 4]; FEW * FEW * FEW];
+        for (k, value) in few.iter_mut().enumerate() {
+            *value = at([k % FEW, k / FEW % FEW, k / (FEW * FEW)].map(|node| KNOTS[2 * node]))?;
+        }
         let values = std::array::from_fn(|k| {
             let [x, y, z] = [k % NODES, k / NODES % NODES, k / (NODES * NODES)].map(few_weights);
             let mut sum = [0.0; 4];
@@ -43,7 +44,7 @@ impl Patch {
             }
             sum.map(|x| x as f32)
         });
-        Self { values }
+        Some(Self { values })
     }
 
     /// The value at a place of the unit cube.
@@ -117,7 +118,7 @@ mod tests {
     #[test]
     fn a_polynomial_of_degree_four_comes_back() {
         let f = |[x, y, z]: [f64; 3]| [x.powi(4) - y * z, x * y.powi(3), 0.3 - z.powi(4), 1.0];
-        let patch = Patch::new(f);
+        let patch = Patch::new(|position| Some(f(position))).unwrap();
         for position in [[0.0, 0.0, 0.0], [1.0, 0.0, 0.5], [0.3, 0.9, 0.1], [1.0, 1.0, 1.0]] {
             for (found, expected) in patch.at(position.map(|x| x as f32)).iter().zip(f(position)) {
                 assert!((f64::from(*found) - expected).abs() < 3e-6, "{position:?} {found} {expected}");
@@ -131,8 +132,9 @@ mod tests {
         let mut asked = 0;
         let sketch = Patch::sketch(|position| {
             asked += 1;
-            f(position)
-        });
+            Some(f(position))
+        })
+        .unwrap();
         assert_eq!(asked, 27);
         for position in [[0.0, 0.0, 0.0], [1.0, 0.0, 0.5], [0.3, 0.9, 0.1]] {
             for (found, expected) in sketch.at(position.map(|x| x as f32)).iter().zip(f(position)) {
@@ -148,7 +150,7 @@ mod tests {
             let r = libm::hypot(libm::hypot(x + 1.5, y - 0.5), z - 0.5);
             [0.3 / r.powi(3), 0.0, 0.0, 1.0]
         };
-        let patch = Patch::new(f);
+        let patch = Patch::new(|position| Some(f(position))).unwrap();
         for k in 0..50 {
             let position = [0.37, 0.71, 0.19].map(|step: f64| (step * f64::from(k)).fract());
             let found = f64::from(patch.at(position.map(|x| x as f32))[0]);

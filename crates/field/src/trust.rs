@@ -19,9 +19,11 @@ const STEP_M: f64 = 0.04;
 /// Distance of the places at which readings are tried out, and least distance of a sensor from metal's surface, m.
 const TRIED_STEP_M: f64 = 0.07;
 const CLEAR_M: f64 = 0.05;
-/// The same beside an object, and how far that reaches, m.
+/// The same beside an object, and how far that reaches at most, m.
 const CLOSE_STEP_M: f64 = 0.04;
 const CLOSE_REACH_M: f64 = 0.6;
+/// Where an object moves readings by no more than this of a sensor's own way it tears nothing apart.
+const GENTLE: f64 = 0.05;
 /// How far outside the hull a sensor may stand whose reading falls inside, m.
 const TRIED_MARGIN_M: f64 = 0.3;
 /// A place that is missed by more was taken for another one, m; and the share of these that a sigma need not cover.
@@ -83,8 +85,11 @@ fn undecided(map: &FieldMap, metal: &Metal, shape: &Shape) -> Vec<f64> {
     // Beside an object readings are torn apart: there places are tried that lie closer together.
     for source in map.model.sources.iter().filter(|source| source.kind == Kind::Object) {
         let center = Vector3::from(source.position_m);
-        let close = Shape::around(&[center, center], CLOSE_REACH_M, CLOSE_STEP_M);
-        tried.push((close, (CLOSE_STEP_M / TRIED_STEP_M).powi(3)));
+        let reach_m = gentle_m(center.norm(), source.strength.abs()).min(CLOSE_REACH_M);
+        if metal.surface(&(center + Vector3::x() * reach_m)) > CLEAR_M {
+            let close = Shape::around(&[center, center], reach_m, CLOSE_STEP_M);
+            tried.push((close, (CLOSE_STEP_M / TRIED_STEP_M).powi(3)));
+        }
     }
     let off = |position_m: Vector3<f64>| {
         if map.hull.outside_m(&position_m) > TRIED_MARGIN_M || metal.surface(&position_m) < CLEAR_M {
@@ -116,6 +121,12 @@ fn undecided(map: &FieldMap, metal: &Metal, shape: &Shape) -> Vec<f64> {
             sheets.mean_square_m2() + if answered { 0.0 } else { NO_ANSWER_M * NO_ANSWER_M }
         })
         .collect()
+}
+
+/// How far from an object readings are gentle, m. At `far_m` from the transmitter its dipole is at most `4 strength / r^3` of the
+/// field there, which moves readings by a third of `far_m` times that, and a reading's way by the derivative of it, `4 far strength / r^4`.
+fn gentle_m(far_m: f64, strength_m3: f64) -> f64 {
+    (4.0 * far_m * strength_m3 / GENTLE).sqrt().sqrt()
 }
 
 /// The places whose readings fall near a node: those that the map finds, and those that it takes for another place.

@@ -218,22 +218,34 @@ impl Metal {
     /// without one from all around the reading. Of several places the likeliest is taken: the one around which the most
     /// places read nearly the same.
     pub(crate) fn find(&self, z: &Vector3<f64>, guess: Option<Vector3<f64>>) -> Option<Vector3<f64>> {
-        let right = |p: &Vector3<f64>| {
-            (p - z).norm() < FARTHEST_M
-                && self.surface(p) > 0.0
-                && (solve_closely(&self.field(p), p).position - z).norm() < READ_M
-        };
-        let from = |guess: Vector3<f64>| self.correct_from(z, guess, 1.0).filter(right);
-        let plain = self.correct(z).filter(right).map(|p| (self.spread(&p), p));
+        let plain = self.plain(z);
         if let Some((spread, p)) = plain
             && PLAIN.contains(&spread)
         {
             return Some(p);
         }
+        let from = |guess: Vector3<f64>| self.correct_from(z, guess, 1.0).filter(|p| self.reads(p, z));
         let around = AROUND_M.into_iter().flat_map(|far| directions().map(move |way| z + way * far));
         let starts = around.filter(|_| guess.is_none()).chain(guess);
         let others = starts.filter_map(from).map(|p| (self.spread(&p), p));
         plain.into_iter().chain(others).min_by(|a, b| a.0.abs().total_cmp(&b.0.abs())).map(|(_, p)| p)
+    }
+
+    /// As [`Metal::find`], where nobody has to look around; `None` where space may be folded.
+    pub(crate) fn find_plain(&self, z: &Vector3<f64>) -> Option<Vector3<f64>> {
+        self.plain(z).filter(|(spread, _)| PLAIN.contains(spread)).map(|(_, p)| p)
+    }
+
+    /// The place that is found first, and the spread of readings around it.
+    fn plain(&self, z: &Vector3<f64>) -> Option<(f64, Vector3<f64>)> {
+        self.correct(z).filter(|p| self.reads(p, z)).map(|p| (self.spread(&p), p))
+    }
+
+    /// Whether a sensor may be at `p`, and reads `z` there.
+    fn reads(&self, p: &Vector3<f64>, z: &Vector3<f64>) -> bool {
+        (p - z).norm() < FARTHEST_M
+            && self.surface(p) > 0.0
+            && (solve_closely(&self.field(p), p).position - z).norm() < READ_M
     }
 
     /// The volume over which readings spread around a place, against the volume of their places; negative where they are

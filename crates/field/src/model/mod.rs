@@ -137,6 +137,12 @@ impl Model {
         self.correct_by(metal, z, |metal| metal.find(z, guess))
     }
 
+    /// The same where the metal folds no space; `None` where it may.
+    pub(crate) fn plain_in(&self, metal: &Metal, z: &Vector3<f64>) -> Option<Vector3<f64>> {
+        let place = metal.find_plain(z)?;
+        Some(self.correct_by(Some(metal), z, |_| Some(place)))
+    }
+
     /// The same from the place that somebody has found for the reading among the metal.
     pub(crate) fn correct_by(
         &self,
