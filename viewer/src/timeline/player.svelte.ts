@@ -75,6 +75,8 @@ class Player {
     if (hand_s !== null) return hand_s;
     if (jump) return jump.to_s;
     if (!replay) return 0;
+    // Of its last seconds a busy page has maybe seen no frame.
+    if (replay.ended != null) return replay.t_s;
     const newest_s = model.sensors?.t_s;
     return newest_s === undefined || newest_s > replay.end_s ? replay.t_s : newest_s;
   }
