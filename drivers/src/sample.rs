@@ -17,7 +17,7 @@ pub struct Arrival {
     /// Bytes of the same read that came after that first byte (the rest of the record or packet, and later ones).
     pub bytes_after: u32,
     /// Bytes that the device sent in the same measurement cycle in front of this record
-    /// (Flock, Fastrak: the records of lower addresses; MotionStar: the front of the packet), whether or not they arrived intact.
+    /// (Flock, Polhemus: the records of lower addresses; MotionStar: the front of the packet), whether or not they arrived intact.
     /// 0 where the driver does not know.
     pub cycle_bytes_before: u32,
     /// Whether the read ended within the record, the rest of which came later: proof that bytes take their time.

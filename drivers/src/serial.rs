@@ -132,14 +132,21 @@ impl Line {
         &mut self,
         offset: u64,
         address: u16,
-        (t_device, after_loss): (DeviceTime, bool),
+        RecordTime { t_device, cycle_bytes_before, after_loss }: RecordTime,
         measurement: Measurement,
     ) {
         self.accept();
         let Some(arrival) = self.arrivals.of(offset) else { return };
-        let arrival = Arrival { after_loss, ..arrival };
+        let arrival = Arrival { cycle_bytes_before, after_loss, ..arrival };
         self.outbox.sample(Sample { address, arrival, t_device, measurement });
     }
+}
+
+/// What a record says of its time, and what its session knows of its place; see [`Arrival`].
+pub(crate) struct RecordTime {
+    pub(crate) t_device: DeviceTime,
+    pub(crate) cycle_bytes_before: u32,
+    pub(crate) after_loss: bool,
 }
 
 /// See the module.

@@ -15,7 +15,7 @@ use super::wire::{Piece, Record, Records, STATIONS, Shape};
 use crate::flock::SettingsError;
 use crate::link::Timing;
 use crate::sample::{DeviceTime, Measurement, Timestamp};
-use crate::serial::{Line, Protocol, SerialSession, Words, stations};
+use crate::serial::{Line, Protocol, RecordTime, SerialSession, Words, stations};
 use crate::session::Loss;
 use crate::turns::Turns;
 
@@ -129,7 +129,8 @@ impl Fastrak {
             });
             return;
         }
-        let stamp = (DeviceTime::Cycle(self.turns.cycle()), self.turns.take_doubt(index));
+        let t_device = DeviceTime::Cycle(self.turns.cycle());
+        let time = RecordTime { t_device, cycle_bytes_before: 0, after_loss: self.turns.take_doubt(index) };
         let pose = Measurement::Pose {
             position_m: Some(record.position_m),
             // Its words are numbers with a decimal point.
@@ -137,7 +138,7 @@ impl Fastrak {
             orientation_wxyz: Some(record.orientation_wxyz),
             button: record.button.map(u8::from),
         };
-        line.publish(offset, record.station.into(), stamp, pose);
+        line.publish(offset, record.station.into(), time, pose);
     }
 }
 

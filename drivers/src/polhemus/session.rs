@@ -17,7 +17,7 @@ use super::wire::{Model, Piece, Record, Records, STATIONS, Shape};
 use crate::flock::SettingsError;
 use crate::link::Timing;
 use crate::sample::{DeviceTime, Measurement, Timestamp};
-use crate::serial::{Line, Protocol, SerialSession, Words, stations};
+use crate::serial::{Line, Protocol, RecordTime, SerialSession, Words, stations};
 use crate::session::Loss;
 
 /// Settings of a Liberty or Patriot; every key has a default.
@@ -75,6 +75,8 @@ pub struct Polhemus {
     stations: Vec<u8>,
     stamps: Stamps,
     model: Option<Model>,
+    /// Stations that the unit sends in each frame, wanted or not, by bit.
+    active: u16,
     losses: Vec<Loss>,
     /// By station: the last frame that is accounted for, since the unit began to count; and when its record came.
     last: Vec<Option<(u64, Timestamp)>>,
@@ -99,6 +101,7 @@ impl PolhemusSession {
             stations,
             stamps: Stamps::default(),
             model: None,
+            active: 0,
         };
         Ok(Self::of(protocol, records, addresses.into_iter()))
     }
@@ -106,7 +109,7 @@ impl PolhemusSession {
 
 impl Polhemus {
     fn start(&mut self, now: Timestamp, model: Model, active: u16, line: &mut Line) {
-        self.model = Some(model);
+        (self.model, self.active) = (Some(model), active);
         for &station in self.stations.iter().filter(|&&station| active >> (station - 1) & 1 == 0) {
             line.warn(now, u32::from(station), || {
                 format!("station {station} has no sensor, or is switched off; check its plug")
@@ -178,7 +181,15 @@ impl Polhemus {
             button: record.button.map(u8::from),
         };
         let t_device = DeviceTime::Counter { ticks: stamp.time_us as u64, tick_s: 1e-6 };
-        line.publish(offset, station.into(), (t_device, false), pose);
+        // A frame's records come in the order of the stations, one behind the other.
+        let before = self.active & ((1 << (station - 1)) - 1);
+        let cycle_bytes_before = before.count_ones() * len as u32;
+        line.publish(
+            offset,
+            station.into(),
+            RecordTime { t_device, cycle_bytes_before, after_loss: false },
+            pose,
+        );
     }
 
     /// The unit counts anew: how many frames it had counted when it ceased nobody knows, but for the time that has passed.

@@ -17,7 +17,7 @@ use crate::flock::SettingsError;
 use crate::flock::wire::rotation;
 use crate::link::Timing;
 use crate::sample::{DeviceTime, Measurement, Timestamp};
-use crate::serial::{Line, Protocol, SerialSession, Words};
+use crate::serial::{Line, Protocol, RecordTime, SerialSession, Words};
 use crate::session::Loss;
 use crate::turns::Turns;
 
@@ -154,7 +154,8 @@ impl WitMotion {
             line.refuse(GROUP_LEN);
             return self.turns.refuse(0, line.skipped());
         };
-        let stamp = (DeviceTime::Cycle(self.turns.cycle()), self.turns.take_doubt(0));
+        let t_device = DeviceTime::Cycle(self.turns.cycle());
+        let time = RecordTime { t_device, cycle_bytes_before: 0, after_loss: self.turns.take_doubt(0) };
         let measured = Measurement::Imu {
             angular_velocity_rad_s: Some(group.angular_velocity_rad_s),
             specific_force_m_s2: Some(group.specific_force_m_s2),
@@ -162,7 +163,7 @@ impl WitMotion {
             magnetic_field: None,
             orientation_wxyz,
         };
-        line.publish(offset, 0, stamp, measured);
+        line.publish(offset, 0, time, measured);
     }
 
     /// The sensor's orientation, once it is known how it is written.
