@@ -68,9 +68,13 @@ impl Browser {
 
     pub(crate) async fn open_on(screen: Screen, url: &str, script: Option<&str>) -> Self {
         let profile = tempfile::tempdir().unwrap();
-        // Who looks waits, not what is looked at: daemons live in real time.
+        // In a test who looks waits, not what is looked at: daemons live in real time.
+        let yields = match screen {
+            Screen::Slow => "10",
+            Screen::Full => "0",
+        };
         let mut child = Command::new("nice")
-            .args(["-n", "10", "chromium"])
+            .args(["-n", yields, "chromium"])
             .args(["--headless=new", "--no-sandbox", "--disable-background-networking"])
             // WebGL by software.
             .args(["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"])
