@@ -24,6 +24,7 @@ use super::feed::Feed;
 use super::input_log::Log;
 use super::session::{LinkError, thread};
 use super::wire::{Begin, ClockReading, Keys};
+use super::wishes;
 use posed_daemon::FusionInbox;
 use posed_daemon::StageClock;
 use posed_daemon::recordings;
@@ -66,9 +67,10 @@ impl Answers {
     }
 
     fn run(&self, session: &Session, stopped: &Receiver<()>, begun: impl FnOnce()) -> zenoh::Result<()> {
-        let (clock, run, key) = (self.clock, self.feed.run(), self.keys.clock());
+        let (clock, run, key, feed) = (self.clock, self.feed.run(), self.keys.clock(), self.feed.clone());
         let tell_time = move |query: Query| {
-            let reading = ClockReading { run, t_ns: clock.now().as_nanos() };
+            let (frames, last_event_id) = feed.progress();
+            let reading = ClockReading { run, t_ns: clock.now().as_nanos(), frames, last_event_id };
             if let Ok(bytes) = rmp_serde::to_vec(&reading) {
                 let _ = query.reply(query.key_expr().clone(), bytes).wait();
             }
@@ -76,6 +78,7 @@ impl Answers {
         let _clock = session.declare_queryable(key).callback(tell_time).wait()?;
         let keys = [self.keys.status(), format!("{}/**", self.keys.recordings()), self.keys.ask("*")];
         let (_queryables, questions) = collect(session, keys)?;
+        let _wishes = wishes::look(session, &self.keys, &self.feed)?;
         let _lookout = self.feed.twins().look(session, &self.keys, run)?;
         let _token = session.liveliness().declare_token(self.keys.token()).wait()?;
         begun();

@@ -1,7 +1,8 @@
 //! What is published, on its way to other machines: kept and numbered, so that what was missed can be asked for.
 //!
 //! In: items with their stamps, on the distributor's task. Out: bytes for the thread that hands them to zenoh, behind a bounded
-//! queue: where that is full, states are lost, which the status says, and events are asked for later. Never: a wait. What nobody has subscribed to is not written.
+//! queue: where that is full, states are lost, which the status says, and events are asked for later. Never: a wait. What nobody has subscribed to is not
+//! written, and of frames only as many, and so much, as somebody wants.
 
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -12,9 +13,10 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 
 use super::twins::Twins;
 use super::wire::{Bytes, Head, Joined, VERSION, write_fed};
+use super::wishes::{Health, Wishes};
 use posed_daemon::server::Holding;
 use posed_daemon::server::Item;
-use posed_protocol::{Encoding, Names, Payload, Problem, Stamp, Topic, View, encode};
+use posed_protocol::{Encoding, Names, Payload, Problem, Selection, Stamp, Topic, View, encode};
 
 /// Messages that wait for zenoh's thread.
 const WAITING: usize = 256;
@@ -22,6 +24,9 @@ const WAITING: usize = 256;
 const EVENTS: usize = 4096;
 const EVENT_AGE_US: i64 = 600_000_000;
 const EVENT_BYTES: usize = 16 << 20;
+
+/// Time after which the status goes out to hubs that have not asked for it though it is as it was.
+const STATUS_US: i64 = 10_000_000;
 
 /// Where items go in, and where questions about them are answered; clones share it.
 #[derive(Clone, Debug)]
@@ -34,7 +39,10 @@ struct Shared {
     about: StageInfo,
     kept: Mutex<Kept>,
     wanted: Wanted,
+    wishes: Wishes,
     twins: Twins,
+    /// Frames so far.
+    frames: AtomicU64,
     /// The thread that has panicked.
     broken: OnceLock<&'static str>,
     out: Sender<Out>,
@@ -60,8 +68,9 @@ pub(super) struct Wanted {
 /// Bytes for zenoh.
 #[derive(Debug)]
 pub(super) enum Out {
-    States(Vec<u8>),
-    Events(Arc<[u8]>),
+    Frame(Vec<u8>),
+    State(Arc<[u8]>),
+    Event(Arc<[u8]>),
     Public(Topic, Vec<u8>),
 }
 
@@ -74,6 +83,8 @@ struct Kept {
     holding: Holding<Event>,
     /// Newest states that come seldom.
     status: Option<Arc<[u8]>>,
+    /// What hubs were last told of it without having asked, and when.
+    told: Option<(Health, i64)>,
     jobs: Option<Arc<[u8]>>,
     /// The newest status as its public message.
     status_json: Vec<u8>,
@@ -96,21 +107,14 @@ impl Feed {
             about,
             kept: Mutex::default(),
             wanted: Wanted::default(),
+            wishes: Wishes::default(),
             twins: Twins::default(),
+            frames: AtomicU64::new(0),
             broken: OnceLock::new(),
             out,
             lost: AtomicU64::new(0),
         };
         (Self { shared: Arc::new(shared) }, taken)
-    }
-
-    /// Sends a state, and gives it back for keeping.
-    fn state(&self, bytes: Vec<u8>, is_fed: bool) -> Arc<[u8]> {
-        let kept = Arc::from(bytes.as_slice());
-        if is_fed {
-            self.send(Out::States(bytes));
-        }
-        kept
     }
 
     fn send(&self, out: Out) {
@@ -151,8 +155,18 @@ impl Feed {
         &self.shared.twins
     }
 
+    /// What hubs want of states.
+    pub(super) fn wishes(&self) -> &Wishes {
+        &self.shared.wishes
+    }
+
     pub(super) fn run(&self) -> i64 {
         self.shared.about.run
+    }
+
+    /// Frames so far, and the number of the newest event.
+    pub(super) fn progress(&self) -> (u64, u64) {
+        (self.shared.frames.load(Ordering::Relaxed), self.kept().last_event_id)
     }
 
     /// Runs a thread of the session; where it panics, that is reported instead of passed over.
@@ -174,35 +188,54 @@ impl Feed {
 
 impl posed_daemon::link::Feed for Feed {
     fn publish(&self, item: &Item, stamp: &Stamp, names: &Names) {
-        let Shared { about, wanted, .. } = &*self.shared;
+        let Shared { about, wanted, wishes, frames, .. } = &*self.shared;
         let Some(payload) = item.payload() else { return };
         // Who trains is nobody else's business: it stays on this machine.
         if matches!(item, Item::Sessions(_)) {
             return;
         }
+        if matches!(item, Item::Estimate(_)) {
+            frames.fetch_add(1, Ordering::Relaxed);
+        }
         let topic = stamp.topic;
-        let is_frame = matches!(item, Item::Estimate(_) | Item::Body(_) | Item::Truth(_));
         let is_fed = wanted.feed.load(Ordering::Relaxed);
         let mut kept = self.kept();
         kept.newest_us = kept.newest_us.max(stamp.t_us);
         kept.last_event_id = stamp.event_id.unwrap_or(kept.last_event_id);
         kept.topics[topic.index()] = true;
-        if is_fed || !is_frame {
-            let head = Head { run: about.run, last_event_id: kept.last_event_id, stamp: *stamp };
-            let Some(bytes) = write_fed(&head, item) else { return };
-            match (item, stamp.event_id) {
-                (Item::Outcome(outcome), Some(id)) => {
-                    let event = Event { id, t_us: stamp.t_us, bytes: bytes.into() };
-                    kept.holding.take(outcome, || event.clone());
-                    kept.keep(event.clone());
-                    if is_fed {
-                        self.send(Out::Events(event.bytes));
-                    }
+        let head = Head { run: about.run, last_event_id: kept.last_event_id, stamp: *stamp };
+        let whole = || write_fed(&head, item, &Selection::whole());
+        match item {
+            Item::Estimate(_) | Item::Body(_) | Item::Truth(_) => {
+                let due = wishes.due(stamp, |selection| write_fed(&head, item, selection));
+                if let Some(bytes) = due.flatten() {
+                    self.send(Out::Frame(bytes));
                 }
-                (Item::Status(_), _) => kept.status = Some(self.state(bytes, is_fed)),
-                (Item::Jobs(_), _) => kept.jobs = Some(self.state(bytes, is_fed)),
-                _ => self.send(Out::States(bytes)),
             }
+            Item::Outcome(outcome) => {
+                let (Some(bytes), Some(id)) = (whole(), stamp.event_id) else { return };
+                let event = Event { id, t_us: stamp.t_us, bytes: bytes.into() };
+                kept.holding.take(outcome, || event.clone());
+                kept.keep(event.clone());
+                if is_fed {
+                    self.send(Out::Event(event.bytes));
+                }
+            }
+            Item::Status(status) => {
+                let Some(bytes) = whole().map(Arc::from) else { return };
+                kept.status = Some(Arc::clone(&bytes));
+                if is_fed && (wishes.has(topic) || kept.is_news(Health::of(status), stamp.t_us)) {
+                    self.send(Out::State(bytes));
+                }
+            }
+            Item::Jobs(_) => {
+                let Some(bytes) = whole().map(Arc::from) else { return };
+                kept.jobs = Some(Arc::clone(&bytes));
+                if is_fed {
+                    self.send(Out::State(bytes));
+                }
+            }
+            Item::Sessions(_) | Item::Rewind => {}
         }
         let is_public = wanted.topics[topic.index()].load(Ordering::Relaxed);
         if is_public || topic == Topic::Status {
@@ -232,6 +265,16 @@ impl posed_daemon::link::Feed for Feed {
 }
 
 impl Kept {
+    /// Whether hubs that have not asked for the status are to have this one: another state than they know, or old news.
+    fn is_news(&mut self, health: Health, t_us: i64) -> bool {
+        let is_known =
+            self.told.as_ref().is_some_and(|(told, told_us)| *told == health && t_us - told_us < STATUS_US);
+        if !is_known {
+            self.told = Some((health, t_us));
+        }
+        !is_known
+    }
+
     fn keep(&mut self, event: Event) {
         self.event_bytes += event.bytes.len();
         self.events.push_back(event);
@@ -261,6 +304,7 @@ mod tests {
     use posed_daemon::link::Feed as _;
     use posed_drivers::Timestamp;
     use posed_fusion::faults::Cause;
+    use posed_protocol::{Status, Wish};
     use posed_stage::output::{Outcome, OutcomeKind};
 
     use super::*;
@@ -291,7 +335,31 @@ mod tests {
         // And what comes next goes out.
         let status = Stamp { topic: Topic::Status, body: 0, t_us: 1 << 20, event_id: None };
         feed.publish(&Item::Status(Box::default()), &status, &names);
-        assert!(matches!(taken.try_recv(), Ok(Out::States(_))));
+        assert!(matches!(taken.try_recv(), Ok(Out::State(_))));
+    }
+
+    #[test]
+    fn a_hub_where_nobody_looks_hears_of_a_change_at_once_and_else_every_ten_seconds() {
+        let about = StageInfo { key: "posed/a".to_owned(), run: 1, stage_toml: String::new() };
+        let (feed, taken) = Feed::new(about);
+        feed.wanted().feed.store(true, Ordering::Relaxed);
+        let names = Names::default();
+        let mut second = 0;
+        let mut sent = |feed: &Feed, problems: &[Problem]| {
+            let stamp = Stamp { topic: Topic::Status, body: 0, t_us: second * 1_000_000, event_id: None };
+            second += 1;
+            let status = Status { problems: problems.to_vec(), clients: second as u32, ..Status::default() };
+            feed.publish(&Item::Status(Box::new(status)), &stamp, &names);
+            taken.try_iter().count()
+        };
+        let quiet: Vec<usize> = (0..21).map(|_| sent(&feed, &[])).collect();
+        assert_eq!((quiet.iter().sum::<usize>(), quiet[0], quiet[10], quiet[20]), (3, 1, 1, 1));
+        let problem = [Problem::new("lsl", "none")];
+        assert_eq!((sent(&feed, &problem), sent(&feed, &problem), sent(&feed, &[])), (1, 0, 1));
+        let mut wish = Wish::default();
+        wish.add(Topic::Status, None);
+        feed.wishes().put("hub", Some(wish));
+        assert_eq!((0..5).map(|_| sent(&feed, &[])).sum::<usize>(), 5, "somebody looks");
     }
 
     #[test]

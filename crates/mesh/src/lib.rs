@@ -14,6 +14,7 @@
 
 mod answers;
 mod feed;
+mod frame;
 mod hub;
 mod input_log;
 mod link;
@@ -21,6 +22,7 @@ mod ros2;
 mod session;
 mod twins;
 mod wire;
+mod wishes;
 
 pub use self::hub::{Hub, HubError, HubOptions};
 pub use self::link::connect;

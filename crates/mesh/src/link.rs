@@ -106,6 +106,7 @@ impl Drop for Threads {
 
 /// What the feed goes out by.
 struct Publishers {
+    frames: Publisher<'static>,
     states: Publisher<'static>,
     events: Publisher<'static>,
     topics: Vec<Publisher<'static>>,
@@ -113,6 +114,7 @@ struct Publishers {
 
 impl Publishers {
     fn declare(session: &Session, keys: &Keys, feed: &Feed) -> zenoh::Result<Self> {
+        let frames = state(session, keys.frames())?;
         let states = state(session, keys.states())?;
         let events = event(session, keys.events())?;
         follow(&states, feed, |feed, wanted| feed.wanted().feed.store(wanted, Ordering::Relaxed))?;
@@ -127,7 +129,7 @@ impl Publishers {
             })?;
             Ok(publisher)
         });
-        Ok(Self { topics: topics.collect::<zenoh::Result<_>>()?, states, events })
+        Ok(Self { topics: topics.collect::<zenoh::Result<_>>()?, frames, states, events })
     }
 
     /// Until the stage ends.
@@ -138,8 +140,9 @@ impl Publishers {
                 recv(stopped) -> _ => return,
             };
             let put = match out {
-                Ok(Out::States(bytes)) => self.states.put(bytes).wait(),
-                Ok(Out::Events(bytes)) => self.events.put(bytes.to_vec()).wait(),
+                Ok(Out::Frame(bytes)) => self.frames.put(bytes).wait(),
+                Ok(Out::State(bytes)) => self.states.put(bytes.to_vec()).wait(),
+                Ok(Out::Event(bytes)) => self.events.put(bytes.to_vec()).wait(),
                 Ok(Out::Public(topic, json)) => self.topics[topic.index()].put(json).wait(),
                 Err(_) => return,
             };

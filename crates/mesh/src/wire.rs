@@ -5,17 +5,20 @@
 use rmp_serde::decode;
 use serde::{Deserialize, Serialize};
 
+use super::frame::Frame;
 use posed_daemon::server::Item;
 use posed_geometry::bytes;
-use posed_protocol::{Stamp, Topic, unpacker};
+use posed_protocol::{Selection, Stamp, Topic, Wish, unpacker};
 use posed_recording::Header;
 
 /// Version of everything in this file.
-pub(crate) const VERSION: u32 = 1;
+pub(crate) const VERSION: u32 = 2;
 /// Last part of the key of a stage's liveliness token.
 pub(crate) const TOKEN: &str = "posed-stage";
 /// Last part but one of the token of one run of a stage's daemon.
 pub(crate) const RUN: &str = "posed-run";
+/// What the tokens of wishes are below.
+const WISH: &str = "posed-wish";
 
 /// The keys of one stage.
 #[derive(Clone, Debug)]
@@ -57,7 +60,27 @@ impl Keys {
         self.below(&format!("posed-twin/{hub}"))
     }
 
-    /// States, of which the newest counts.
+    /// Token of what a hub wants of the stage's states.
+    pub(crate) fn wish(&self, hub: &str, wish: &Wish) -> String {
+        self.below(&format!("{WISH}/{hub}/{}", wish.to_json()))
+    }
+
+    /// Tokens of all hubs that want something.
+    pub(crate) fn wishes(&self) -> String {
+        self.below(&format!("{WISH}/**"))
+    }
+
+    /// What a token of [`Self::wishes`] asks for; `None` where it cannot be read.
+    pub(crate) fn wish_of(token: &str) -> Option<Wish> {
+        Wish::from_json(token.rsplit_once('/')?.1)
+    }
+
+    /// Poses, bodies and ground truth, as far as somebody wants them.
+    pub(crate) fn frames(&self) -> String {
+        self.below("feed/frames")
+    }
+
+    /// States that come seldom, of which the newest counts.
     pub(crate) fn states(&self) -> String {
         self.below("feed/states")
     }
@@ -65,10 +88,6 @@ impl Keys {
     /// Events, none of which may be missed.
     pub(crate) fn events(&self) -> String {
         self.below("feed/events")
-    }
-
-    pub(crate) fn feed(&self) -> String {
-        self.below("feed/*")
     }
 
     /// A topic's public messages.
@@ -112,27 +131,51 @@ pub(crate) struct Head {
     pub(crate) stamp: Stamp,
 }
 
-/// An item with its head, as bytes.
-pub(crate) fn write_fed(head: &Head, item: &Item) -> Option<Vec<u8>> {
+/// An item as it travels.
+#[derive(Serialize)]
+enum Carrying<'a> {
+    Frame(&'a Frame),
+    Item(&'a Item),
+}
+
+#[derive(Deserialize)]
+enum Carried {
+    Frame(Frame),
+    Item(Item),
+}
+
+/// An item with its head, as bytes; of a frame's poses what is selected.
+pub(crate) fn write_fed(head: &Head, item: &Item, selection: &Selection) -> Option<Vec<u8>> {
     let mut out = Vec::new();
     rmp_serde::encode::write(&mut out, head).ok()?;
     match item {
         // All numbers, many times a second: without the names of their fields.
-        Item::Estimate(_) | Item::Body(_) | Item::Truth(_) => {
-            rmp_serde::encode::write(&mut out, item).ok()?
+        Item::Estimate(estimate) => {
+            let frame = Frame::of(estimate, selection);
+            rmp_serde::encode::write(&mut out, &Carrying::Frame(&frame)).ok()?;
+        }
+        Item::Body(_) | Item::Truth(_) => {
+            rmp_serde::encode::write(&mut out, &Carrying::Item(item)).ok()?;
         }
         // What has optional fields needs their names.
         Item::Outcome(_) | Item::Status(_) | Item::Jobs(_) | Item::Sessions(_) | Item::Rewind => {
-            rmp_serde::encode::write_named(&mut out, item).ok()?;
+            rmp_serde::encode::write_named(&mut out, &Carrying::Item(item)).ok()?;
         }
     }
     Some(out)
 }
 
-/// Reads what [`write_fed`] wrote.
-pub(crate) fn read_fed(payload: &[u8]) -> Result<(Head, Item), decode::Error> {
+/// Reads what [`write_fed`] wrote, with what there is of it.
+pub(crate) fn read_fed(payload: &[u8]) -> Result<(Head, Item, Selection), decode::Error> {
     let mut unpacker = unpacker(payload);
-    Ok((Head::deserialize(&mut unpacker)?, Item::deserialize(&mut unpacker)?))
+    let head = Head::deserialize(&mut unpacker)?;
+    Ok(match Carried::deserialize(&mut unpacker)? {
+        Carried::Frame(frame) => {
+            let (estimate, selection) = frame.into_estimate();
+            (head, Item::Estimate(estimate), selection)
+        }
+        Carried::Item(item) => (head, item, Selection::whole()),
+    })
 }
 
 /// Bytes as MessagePack's own.
@@ -165,6 +208,10 @@ pub(crate) struct Joined {
 pub(crate) struct ClockReading {
     pub(crate) run: i64,
     pub(crate) t_ns: i64,
+    /// Frames so far: who asks again has their rate.
+    pub(crate) frames: u64,
+    /// Newest event.
+    pub(crate) last_event_id: u64,
 }
 
 /// Some entries of the input log, on `KEY/log` and as the answer to `KEY/ask/log?from=N`.

@@ -44,6 +44,7 @@ mod topic;
 mod typescript;
 pub mod vmc;
 pub mod vrpn;
+mod wish;
 
 pub use encode::{Encoding, Payload};
 pub use message::{
@@ -72,6 +73,7 @@ pub use request::{
 };
 pub use sensors::{Field, Fields, View};
 pub use topic::Topic;
+pub use wish::{Selection, Wish};
 
 /// Version of the protocol and name of the websocket sub-protocol with JSON text messages.
 pub const SUBPROTOCOL_JSON: &str = "posed.v1";

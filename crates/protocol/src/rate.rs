@@ -34,3 +34,25 @@ impl Rate {
         self.due = f64::NEG_INFINITY;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A hub thins for its clients what a stage has thinned for the hub.
+    #[test]
+    fn thinned_twice_to_one_rate_a_stream_keeps_that_rate() {
+        for (frame_us, rate_hz) in
+            [(10_000, 60.0), (10_000, 50.0), (9_700, 60.0), (6_944, 60.0), (5_000, 90.0)]
+        {
+            for begun in 0..12 {
+                let (mut first, mut second) = (Rate::every(1e6 / rate_hz), Rate::every(1e6 / rate_hz));
+                let frames = (0..10_000_000 / frame_us).map(|n| f64::from(n * frame_us));
+                let once: Vec<f64> = frames.filter(|t| first.is_due(*t)).collect();
+                let twice = once[begun..].iter().filter(|t| second.is_due(**t)).count();
+                let share = twice as f64 / (once.len() - begun) as f64;
+                assert!(share > 0.97, "{frame_us} us at {rate_hz} Hz from frame {begun}: {share}");
+            }
+        }
+    }
+}

@@ -42,8 +42,26 @@ pub enum Field {
     Change,
 }
 
+impl Field {
+    /// All there are.
+    const EVERY: [Self; 12] = [
+        Self::Name,
+        Self::State,
+        Self::Device,
+        Self::PositionM,
+        Self::OrientationWxyz,
+        Self::SigmaM,
+        Self::Measured,
+        Self::Covariance,
+        Self::Velocity,
+        Self::Quality,
+        Self::Fault,
+        Self::Change,
+    ];
+}
+
 /// A set of [`Field`]s.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, DeriveSerialize, Deserialize)]
 pub struct Fields(u16);
 
 impl Fields {
@@ -55,15 +73,23 @@ impl Fields {
 
     /// Everything there is: what a recording holds.
     pub fn all() -> Self {
-        let more = [
-            Field::Measured,
-            Field::Covariance,
-            Field::Velocity,
-            Field::Quality,
-            Field::Fault,
-            Field::Change,
-        ];
-        Self(Self::default().0 | Self::of(&more).0)
+        Self::of(&Field::EVERY)
+    }
+
+    /// The fields of the set.
+    pub fn list(self) -> Vec<Field> {
+        Field::EVERY.into_iter().filter(|field| self.has(*field)).collect()
+    }
+
+    /// Whether all of `others` are in the set.
+    pub fn holds(self, others: Self) -> bool {
+        others.0 & !self.0 == 0
+    }
+
+    /// The set, and what is in `others`.
+    #[must_use]
+    pub fn with(self, others: Self) -> Self {
+        Self(self.0 | others.0)
     }
 
     /// Whether `field` is in the set.

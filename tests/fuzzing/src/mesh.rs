@@ -1,12 +1,14 @@
 //! What other machines send over zenoh. The module that reads it is taken as a file: its crate links all of zenoh.
 
+#[path = "../../../crates/mesh/src/frame.rs"]
+mod frame;
 #[path = "../../../crates/mesh/src/wire.rs"]
 #[expect(dead_code, reason = "half of it is only written")]
 mod wire;
 
 use posed_daemon::server::Item;
 use posed_drivers::Timestamp;
-use posed_protocol::{Counters, Fields, Publisher, Stamp, Topic, unpack};
+use posed_protocol::{Counters, Fields, Publisher, Selection, Stamp, Topic, Wish, unpack};
 use posed_recording::{Header, Machine, Replayable, Snapshot};
 use posed_stage::Stage;
 use posed_stage::input::{Entry, Input};
@@ -51,13 +53,17 @@ pub(crate) fn message(data: &[u8]) {
             if let Some((keys, run)) = wire::Keys::of_run(token) {
                 assert_eq!(keys.run(run), token);
             }
+            if let Some(wish) = wire::Keys::wish_of(token) {
+                let again = wire::Keys::wish_of(&wire::Keys::new("a").wish("hub", &wish));
+                assert_eq!(again, Some(wish), "a wish reads as it is written");
+            }
         }
     }
 }
 
 /// An item of the feed: what the hub makes of it for its own clients.
 fn fed(stage: &Stage, payload: &[u8]) {
-    let Ok((head, item)) = wire::read_fed(payload) else { return };
+    let Ok((head, item, _)) = wire::read_fed(payload) else { return };
     let mut counters = Counters::default();
     counters.follow(&head.stamp);
     let _ = (head.stamp.t_s(), head.stamp.t());
@@ -80,7 +86,8 @@ pub(crate) fn item(output: &Output<'_>) -> Option<Item> {
 
 /// An item as it travels.
 pub(crate) fn fed_bytes(stamp: Stamp, item: &Item) -> Vec<u8> {
-    wire::write_fed(&wire::Head { run: 1, last_event_id: 1, stamp }, item).expect("plain data")
+    wire::write_fed(&wire::Head { run: 1, last_event_id: 1, stamp }, item, &Selection::whole())
+        .expect("plain data")
 }
 
 /// Seeds of what is no item of the feed.
@@ -110,12 +117,19 @@ pub(crate) fn others(stand: &Stand, stage_toml: &str) -> Vec<(String, Vec<u8>)> 
         ..Header::new(&stand.stage, stage_toml, 0)
     };
     let keys = wire::Keys::new("a/b");
+    let mut wish = Wish::default();
+    wish.add(Topic::Sensors, Some(60.0));
+    wish.select(Fields::default(), Some(&[0, 1]));
     vec![
         ("joined".into(), pack(1, rmp_serde::to_vec_named(&joined))),
         ("log".into(), pack(2, rmp_serde::to_vec(&wire::LogChunk { run: 1, first: 0, entries }))),
         ("begin".into(), pack(3, rmp_serde::to_vec_named(&wire::Begin { next: 0, header }))),
-        ("clock".into(), pack(4, rmp_serde::to_vec(&wire::ClockReading { run: 1, t_ns: 5 }))),
+        (
+            "clock".into(),
+            pack(4, rmp_serde::to_vec(&wire::ClockReading { run: 1, t_ns: 5, frames: 7, last_event_id: 1 })),
+        ),
         ("token".into(), [&[5], keys.token().as_bytes()].concat()),
         ("run".into(), [&[5], keys.run("77").as_bytes()].concat()),
+        ("wish".into(), [&[5], keys.wish("77", &wish).as_bytes()].concat()),
     ]
 }

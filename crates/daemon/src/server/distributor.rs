@@ -12,7 +12,7 @@ use super::metrics::Metrics;
 use super::outbox::{Outbox, Outgoing};
 use posed_protocol::{
     Answer, Counters, DropPolicy, Encoding, ErrorReply, Feed, Field, Fields, Names, OkReply, Payload,
-    Problem, Rate, RequestId, Resumed, STREAMS, ServerMessage, Stamp, Topic, View, encode,
+    Problem, Rate, RequestId, Resumed, STREAMS, Selection, ServerMessage, Stamp, Topic, View, Wish, encode,
 };
 use posed_stage::Limits;
 
@@ -51,6 +51,8 @@ pub(super) struct Distributor {
     views: Vec<SharedView>,
     /// The newest state of each stream.
     last: [Option<(Stamp, Item)>; STREAMS],
+    /// What there is of the newest frame; all of it, unless it comes from elsewhere and nobody has asked for more.
+    held: Selection,
     events: VecDeque<Event>,
     /// Events that still hold: faults that have not ended, the newest model of each kind, counts.
     current: Holding<Event>,
@@ -77,6 +79,7 @@ struct Client {
 struct Subscription {
     view: usize,
     policy: DropPolicy,
+    max_rate_hz: Option<f64>,
     /// Newest event when the subscription began: later ones came by themselves.
     live_after: u64,
 }
@@ -106,6 +109,7 @@ impl Distributor {
             clients: Vec::new(),
             views: Vec::new(),
             last: std::array::from_fn(|_| None),
+            held: Selection::whole(),
             events: VecDeque::new(),
             current: Holding::default(),
             newest_us: i64::MIN,
@@ -147,9 +151,12 @@ impl Distributor {
             shared.body = None;
         }
         let topic = stamp.topic;
-        let Self { clients, views, names, scratch, metrics, .. } = self;
+        let Self { clients, views, names, scratch, metrics, held, .. } = self;
         for client in clients {
             let Some(subscription) = &mut client.subscriptions[topic.index()] else { continue };
+            if topic == Topic::Sensors && !held.covers(&views[subscription.view].view) {
+                continue;
+            }
             let rate = &mut client.rates[stamp.stream()];
             if !topic.is_event() && rate.as_mut().is_some_and(|rate| !rate.is_due(stamp.t_us as f64)) {
                 continue;
@@ -191,6 +198,32 @@ impl Distributor {
                 }
             }
         }
+    }
+
+    /// Says how much there is of the frames that follow: who wants more of them gets none.
+    pub(super) fn hold(&mut self, held: Selection) {
+        self.held = held;
+    }
+
+    /// What its clients want of states.
+    pub(super) fn wish(&self) -> Wish {
+        let mut wish = Wish::default();
+        for client in &self.clients {
+            for (topic, subscription) in Topic::ALL.into_iter().zip(&client.subscriptions) {
+                let Some(Subscription { view, max_rate_hz, .. }) = subscription else { continue };
+                wish.add(topic, *max_rate_hz);
+                if topic == Topic::Sensors {
+                    let view = &self.views[*view].view;
+                    wish.select(view.fields, view.sensors.as_deref());
+                }
+            }
+        }
+        wish
+    }
+
+    /// Forgets the newest states of a topic, since no newer ones come.
+    pub(super) fn forget(&mut self, topic: Topic) {
+        topic.streams().for_each(|stream| self.last[stream] = None);
     }
 
     /// Forgets what holds of a later time; sequence and event numbers go on.
@@ -246,7 +279,8 @@ impl Distributor {
                 }
                 self.reply_ok(at, id, None);
                 for (topic, view) in begun {
-                    let subscription = Subscription { view, policy: drop.unwrap_or_default(), live_after };
+                    let policy = drop.unwrap_or_default();
+                    let subscription = Subscription { view, policy, max_rate_hz, live_after };
                     topic.streams().for_each(|stream| self.clients[at].rates[stream] = rate);
                     let replaced = self.clients[at].subscriptions[topic.index()].replace(subscription);
                     if let Some(old) = replaced {
@@ -326,6 +360,9 @@ impl Distributor {
             for event in self.current.iter().filter(|event| event.stamp.topic == topic) {
                 client.send(&event.stamp, event.body(client.outbox.encoding()), policy, &self.metrics);
             }
+            return;
+        }
+        if topic == Topic::Sensors && !self.held.covers(&self.views[view].view) {
             return;
         }
         for stream in topic.streams() {
@@ -631,6 +668,36 @@ mod tests {
         let late = connect(&mut distributor, 2, &limits);
         distributor.handle(Command::Feed { client: 2, id: RequestId::Number(1), feed: to(Topic::Body) });
         assert_eq!(names(&late), [("anna".to_owned(), 185_000), ("bert".to_owned(), 190_000)]);
+    }
+
+    /// At a hub: what was not asked of the stage is nothing that could be shown.
+    #[test]
+    fn who_wants_more_of_a_frame_than_there_is_gets_the_first_that_has_it_all() {
+        let limits = Limits::default();
+        let mut distributor = distributor(&limits);
+        let little = connect(&mut distributor, 1, &limits);
+        subscribe(&mut distributor, 1, Some(20.0), &[Field::PositionM]);
+        let held = distributor.wish().selection().clone();
+        distributor.hold(held);
+        frame(&mut distributor, 0);
+        let much = connect(&mut distributor, 2, &limits);
+        subscribe(&mut distributor, 2, Some(50.0), &[Field::Covariance]);
+        frame(&mut distributor, 50_000);
+        assert_eq!((received(&little).len(), received(&much).len()), (3, 1), "frames beside the answer");
+        let wish = distributor.wish();
+        assert_eq!(wish.max_rate_hz(Topic::Sensors), Some(50.0));
+        distributor.hold(wish.selection().clone());
+        frame(&mut distributor, 100_000);
+        assert_eq!((received(&little).len(), received(&much).len()), (1, 1));
+        // What is no longer asked for is not shown as if it were of now.
+        distributor.forget(Topic::Sensors);
+        let late = connect(&mut distributor, 3, &limits);
+        subscribe(&mut distributor, 3, None, &[Field::PositionM]);
+        assert_eq!(received(&late).len(), 1);
+        for client in 1..=3 {
+            distributor.handle(Command::Disconnect { client });
+        }
+        assert!(distributor.wish().is_empty());
     }
 
     #[test]

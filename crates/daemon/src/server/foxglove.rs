@@ -15,7 +15,7 @@ use super::metrics::Metrics;
 use super::outbox::{Close, Outbox, Outgoing};
 use posed_protocol::foxglove::wire::{self, Level, Request, ServerInfo, Subscription};
 use posed_protocol::foxglove::{Channel, Publisher, channels};
-use posed_protocol::{DropPolicy, Encoding, Payload, Problem, Stamp, Topic};
+use posed_protocol::{DropPolicy, Encoding, Fields, Payload, Problem, Stamp, Topic, Wish};
 use posed_stage::Stage;
 
 /// Messages that wait for a viewer; older ones give way.
@@ -96,6 +96,23 @@ impl Viewers {
     /// How many there are.
     pub(super) fn count(&self) -> usize {
         self.clients.len()
+    }
+
+    /// What they want of states: whole frames, as often as there are any. Problems are told to all.
+    pub(super) fn wish(&self) -> Wish {
+        let mut wish = Wish::default();
+        if !self.clients.is_empty() {
+            wish.add(Topic::Status, None);
+        }
+        for (channel, wanted) in self.channels.iter().zip(&self.wanted) {
+            for topic in channel.topics().iter().filter(|_| *wanted > 0) {
+                wish.add(*topic, None);
+                if *topic == Topic::Sensors {
+                    wish.select(Fields::all(), None);
+                }
+            }
+        }
+        wish
     }
 
     /// Tells an item to all who want it; without a stamp, time goes back.

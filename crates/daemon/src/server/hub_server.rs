@@ -17,7 +17,9 @@ use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use tokio::sync::{mpsc, watch};
+use tokio::time::{MissedTickBehavior, interval};
 
+use super::demand::{Demand, GRACE};
 use super::directory::{self, Directory, Member};
 use super::distributor::Distributor;
 use super::hub::Item;
@@ -27,11 +29,15 @@ use super::metrics::Metrics;
 use super::remote_files::{Asked, RemoteRecordings};
 use super::{BindError, Command, Shared, StageInfo, StageServices, client, http, rfc3339, topics_of, viewer};
 use crate::ports::ended;
-use posed_protocol::{Counters, Encoding, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK, Stages, Stamp, Topic};
+use posed_protocol::{
+    Counters, Encoding, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK, Selection, Stages, Stamp, Topic, Wish,
+};
 use posed_stage::Stage;
 
 /// Items that wait for a stage's distributor.
 const WAITING: usize = 256;
+/// Topics that a stage sends only where they are asked for.
+const FRAMES: [Topic; 3] = [Topic::Sensors, Topic::Body, Topic::Truth];
 /// What stages and clients have reported to the hub's directory and what waits for it.
 const DIRECTORY_REPORTS: usize = 1024;
 
@@ -64,8 +70,19 @@ struct Joined {
 
 /// Where one stage's items go in; clients are notified of the end when it is dropped.
 pub struct StageEndpoint {
-    items: mpsc::Sender<(Item, Stamp)>,
+    items: mpsc::Sender<Incoming>,
+    wish: watch::Receiver<Wish>,
     shutdown: watch::Sender<bool>,
+}
+
+/// An item of a stage, with the stamp that it got there.
+pub struct Incoming {
+    /// What was published.
+    pub item: Item,
+    /// When, and as which event.
+    pub stamp: Stamp,
+    /// How much of it is there, of a frame's poses; what is not is not shown.
+    pub held: Selection,
 }
 
 impl HubServer {
@@ -164,9 +181,10 @@ impl StageRegistry {
         let commands = services.shared.commands.clone();
         let joined = Joined { shared: Arc::clone(&services.shared), recordings };
         self.stages().insert(id.to_owned(), joined);
-        tokio::spawn(distribute(services, fed, shutdown.subscribe()));
+        let (asked, wish) = watch::channel(Wish::default());
+        tokio::spawn(distribute(services, fed, Demand::new(asked), shutdown.subscribe()));
         let _ = self.registered.directory.send(directory::Command::Joined { id: id.into(), commands }).await;
-        StageEndpoint { items, shutdown }
+        StageEndpoint { items, wish, shutdown }
     }
 
     /// A stage is forgotten: its page and its clients' subscriptions end.
@@ -195,14 +213,24 @@ impl StageRegistry {
 }
 
 impl StageEndpoint {
-    /// Publishes an item with the stamp that it got at its stage. Waits while 256 items wait.
+    /// Publishes an item of which everything is there. Waits while 256 items wait.
     pub async fn publish(&self, item: Item, stamp: Stamp) {
-        let _ = self.items.send((item, stamp)).await;
+        self.pass(Incoming { item, stamp, held: Selection::whole() }).await;
     }
 
-    /// The way in for a thread: what [`StageEndpoint::publish`] takes, where sending may block.
-    pub fn items(&self) -> mpsc::Sender<(Item, Stamp)> {
+    /// Publishes an item; frames that no client here has asked for are passed over. Waits while 256 items wait.
+    pub async fn pass(&self, incoming: Incoming) {
+        let _ = self.items.send(incoming).await;
+    }
+
+    /// The way in for a thread: what [`StageEndpoint::pass`] takes, where sending may block.
+    pub fn items(&self) -> mpsc::Sender<Incoming> {
         self.items.clone()
+    }
+
+    /// What clients here want of the stage's states: all of them together, and what those wanted who have just left.
+    pub fn wish(&self) -> watch::Receiver<Wish> {
+        self.wish.clone()
     }
 }
 
@@ -215,24 +243,37 @@ impl Drop for StageEndpoint {
 /// Feeds a stage's clients, until the stage has left.
 async fn distribute(
     services: StageServices,
-    mut items: mpsc::Receiver<(Item, Stamp)>,
+    mut items: mpsc::Receiver<Incoming>,
+    mut demand: Demand,
     mut shutdown: watch::Receiver<bool>,
 ) {
     let StageServices { shared, mut viewers, mut commands, .. } = services;
     let (names, limits) = (Arc::clone(&shared.names), shared.context.limits.clone());
     let mut distributor = Distributor::new(names, limits, Arc::clone(&shared.metrics), Counters::default());
+    let mut looks = interval(GRACE);
+    looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         tokio::select! {
             biased;
-            item = items.recv() => {
-                let Some((item, stamp)) = item else { return };
+            incoming = items.recv() => {
+                let Some(Incoming { item, stamp, held }) = incoming else { return };
                 distributor.follow(&stamp);
+                if FRAMES.contains(&stamp.topic) && !demand.has(stamp.topic) {
+                    // It was under way as the last one left, and would be taken for the newest by the next one to come.
+                    continue;
+                }
+                let is_whole = held == Selection::whole();
                 match &item {
                     Item::Estimate(_) => _ = shared.metrics.frames.inc(),
                     Item::Status(status) => shared.metrics.take(status),
                     _ => {}
                 }
-                viewers.publish(&item, Some(&stamp));
+                if matches!(item, Item::Estimate(_)) {
+                    distributor.hold(held);
+                }
+                if is_whole {
+                    viewers.publish(&item, Some(&stamp));
+                }
                 if let Item::Status(status) = &item {
                     shared.reports.passed_on(status);
                 }
@@ -240,10 +281,21 @@ async fn distribute(
                 shared.last_event_id.store(distributor.last_event_id(), Ordering::Relaxed);
                 tokio::task::yield_now().await;
             }
-            Some(command) = commands.recv() => match command {
-                Command::Client(command) => distributor.handle(command),
-                Command::Viewer(command) => viewers.handle(command),
-            },
+            Some(command) = commands.recv() => {
+                match command {
+                    Command::Client(command) => distributor.handle(command),
+                    Command::Viewer(command) => viewers.handle(command),
+                }
+                let mut wish = distributor.wish();
+                wish.join(&viewers.wish());
+                demand.want(wish);
+            }
+            _ = looks.tick() => {
+                let given_up = demand.look();
+                // What comes seldom comes without being asked for, and stays true until the next.
+                let frames = given_up.into_iter().filter(|topic| FRAMES.contains(topic));
+                frames.for_each(|topic| distributor.forget(topic));
+            }
             () = ended(&mut shutdown) => return,
         }
     }
@@ -363,7 +415,11 @@ mod tests {
     #[tokio::test]
     async fn who_brings_more_than_a_stages_distributor_has_room_for_waits_and_nothing_is_lost() {
         let (items, mut fed) = mpsc::channel(WAITING);
-        let end = StageEndpoint { items, shutdown: watch::channel(false).0 };
+        let end = StageEndpoint {
+            items,
+            wish: watch::channel(Wish::default()).1,
+            shutdown: watch::channel(false).0,
+        };
         let bring = |t_us| {
             let stamp = Stamp { topic: Topic::Status, body: 0, t_us, event_id: None };
             end.publish(Item::Status(Box::default()), stamp)
@@ -373,10 +429,10 @@ mod tests {
         }
         assert!(waits(bring(-1)).await);
         for t_us in 0..WAITING as i64 {
-            assert_eq!(fed.recv().await.unwrap().1.t_us, t_us);
+            assert_eq!(fed.recv().await.unwrap().stamp.t_us, t_us);
         }
         bring(-2).await;
-        assert_eq!(fed.recv().await.unwrap().1.t_us, -2);
+        assert_eq!(fed.recv().await.unwrap().stamp.t_us, -2);
     }
 
     #[tokio::test]

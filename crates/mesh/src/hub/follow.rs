@@ -10,6 +10,7 @@ use tokio::sync::{mpsc, watch};
 use tokio::time::{MissedTickBehavior, interval};
 use zenoh::Session;
 
+use super::asking::{Asking, subscribe};
 use super::board::Board;
 use super::fuse::{Fuser, Taken};
 use super::questions::{Answer, Questions};
@@ -19,8 +20,8 @@ use posed_daemon::StageClock;
 use posed_daemon::ended;
 use posed_daemon::server::Item;
 use posed_daemon::server::rfc3339;
-use posed_daemon::server::{StageEndpoint, StageRegistry};
-use posed_protocol::{LinkState, Problem, RelatedClock, StagePresence, Stamp, Status, Topic, unpack};
+use posed_daemon::server::{Incoming, StageEndpoint, StageRegistry};
+use posed_protocol::{LinkState, Problem, RelatedClock, StagePresence, Stamp, Status, Topic, Wish, unpack};
 use posed_stage::Stage;
 
 /// Messages of zenoh that wait for this task; more are lost, and events among them asked for.
@@ -29,6 +30,8 @@ const WAITING: usize = 1024;
 const ANSWERS: usize = 16;
 /// Distance of two looks at what is missing.
 const LOOK: Duration = Duration::from_millis(100);
+/// Looks between two questions to a stage that has not answered yet: who is declared may be none.
+const JOIN_EVERY: u32 = 5;
 /// Looks between two readings of the stage's clock.
 const CLOCK_EVERY: u32 = 10;
 
@@ -58,7 +61,10 @@ struct Following {
     relation: Relation,
     /// Its latest status; an empty one before the first.
     status: (Status, Stamp),
-    frames: u32,
+    /// What clients here want.
+    wish: watch::Receiver<Wish>,
+    /// When the stage last said how many frames it had, and how many, ns of its time.
+    counted: Option<(i64, u64)>,
 }
 
 /// A follower at work.
@@ -66,6 +72,7 @@ struct Work {
     follower: Follower,
     questions: Questions,
     following: Option<Following>,
+    asking_for: Asking,
     /// A question about events, or about the log, is on its way.
     asking: bool,
     asking_log: bool,
@@ -78,19 +85,16 @@ impl Follower {
     pub(super) async fn run(self, mut down: watch::Receiver<bool>) {
         let (fed_in, mut fed) = mpsc::channel::<Vec<u8>>(WAITING);
         let (log_in, mut log) = mpsc::channel::<Vec<u8>>(WAITING);
-        let into = |to: mpsc::Sender<Vec<u8>>| {
-            move |sample: zenoh::sample::Sample| _ = to.try_send(sample.payload().to_bytes().into_owned())
-        };
-        let feed = self.session.declare_subscriber(self.keys.feed()).callback(into(fed_in)).await;
-        let entries = match self.fuse {
-            true => Some(self.session.declare_subscriber(self.keys.log()).callback(into(log_in)).await)
-                .transpose(),
-            false => Ok(None),
-        };
-        let (_feed, _entries) = match (feed, entries) {
-            (Ok(feed), Ok(entries)) => (feed, entries),
-            (Err(error), _) | (_, Err(error)) => return tracing::error!("{}: {error}", self.id),
-        };
+        let mut always = vec![(self.keys.states(), fed_in.clone()), (self.keys.events(), fed_in.clone())];
+        always.extend(self.fuse.then(|| (self.keys.log(), log_in)));
+        let mut subscribers = Vec::new();
+        for (key, to) in always {
+            match subscribe(&self.session, key, to).await {
+                Ok(subscriber) => subscribers.push(subscriber),
+                Err(error) => return tracing::error!("{}: {error}", self.id),
+            }
+        }
+        let asking_for = Asking::new(self.session.clone(), self.keys.clone(), fed_in);
         let (answers_in, mut answers) = mpsc::channel(ANSWERS);
         let questions = Questions {
             session: self.session.clone(),
@@ -103,6 +107,7 @@ impl Follower {
             follower: self,
             questions,
             following: None,
+            asking_for,
             asking: false,
             asking_log: false,
             unreadable: false,
@@ -122,6 +127,7 @@ impl Follower {
                     let there = *alive.borrow_and_update();
                     work.presence(there).await;
                 }
+                wish = wished(&mut work.following) => work.ask_for(wish).await,
                 Some(payload) = fed.recv() => work.fed(&payload).await,
                 Some(payload) = log.recv() => work.log(&payload),
                 Some(answer) = answers.recv() => work.answer(answer).await,
@@ -134,7 +140,28 @@ impl Follower {
     }
 }
 
+/// What clients want of the stage, when that has changed.
+async fn wished(following: &mut Option<Following>) -> Wish {
+    if let Some(Following { wish, .. }) = following
+        && wish.changed().await.is_ok()
+    {
+        return wish.borrow_and_update().clone();
+    }
+    std::future::pending().await
+}
+
 impl Work {
+    /// Clients here want something else than before.
+    async fn ask_for(&mut self, mut wish: Wish) {
+        // What is fused here comes from here.
+        if self.following.as_ref().is_some_and(|following| following.fuser.is_some()) {
+            wish = wish.of_topic(Topic::Status);
+        }
+        if let Err(error) = self.asking_for.ask(&wish).await {
+            tracing::warn!("stage {}: {error}", self.follower.id);
+        }
+    }
+
     fn is_there(&self) -> bool {
         *self.follower.alive.borrow()
     }
@@ -171,9 +198,9 @@ impl Work {
         if !self.is_there() {
             return;
         }
-        let Follower { id, board, fuse, .. } = &self.follower;
+        let Follower { fuse, .. } = &self.follower;
         let Some(following) = &mut self.following else {
-            if !self.asking {
+            if !self.asking && look.is_multiple_of(JOIN_EVERY) {
                 self.asking = true;
                 self.questions.join(0, *fuse);
             }
@@ -192,15 +219,12 @@ impl Work {
         }
         if look.is_multiple_of(CLOCK_EVERY) {
             self.questions.clock();
-            let frames_hz =
-                f64::from(std::mem::take(&mut following.frames)) / (LOOK * CLOCK_EVERY).as_secs_f64();
-            board.write(id, |entry| entry.frames_hz = frames_hz);
         }
     }
 
     /// Something of the feed.
     async fn fed(&mut self, payload: &[u8]) {
-        let (head, item) = match wire::read_fed(payload) {
+        let (head, item, held) = match wire::read_fed(payload) {
             Ok(read) => read,
             Err(error) => {
                 // Once: who sends such things sends many.
@@ -217,22 +241,16 @@ impl Work {
             self.follower.board.presence(&self.follower.id, StagePresence::Joining);
             return self.look(0);
         }
-        if following.newest_event_id != u64::MAX {
-            following.newest_event_id = following.newest_event_id.max(head.last_event_id);
-        }
+        following.hear_of(head.last_event_id);
         match (item, head.stamp.event_id) {
             (Item::Status(status), _) => following.status(&self.follower, *status, head.stamp).await,
             (item @ Item::Jobs(_), _) => following.end.publish(item, head.stamp).await,
-            (item, _) if following.fuser.is_some() => {
-                following.frames += u32::from(matches!(item, Item::Estimate(_)));
+            (_, _) if following.fuser.is_some() => {
                 self.follower
                     .board
                     .write(&self.follower.id, |entry| entry.last_event_id = head.last_event_id);
             }
-            (item, None) => {
-                following.frames += u32::from(matches!(item, Item::Estimate(_)));
-                following.end.publish(item, head.stamp).await;
-            }
+            (item, None) => following.end.pass(Incoming { item, stamp: head.stamp, held }).await,
             (item, Some(event_id)) => {
                 if event_id == following.last_event_id + 1 {
                     following.event(&self.follower, item, head.stamp).await;
@@ -274,6 +292,13 @@ impl Work {
                 let Some(following) = &mut self.following else { return };
                 if reading.run == following.run {
                     let (left, came) = (left.as_nanos(), came.as_nanos());
+                    following.hear_of(reading.last_event_id);
+                    let count = (reading.t_ns, reading.frames);
+                    if let Some((t_ns, frames)) = following.counted.replace(count) {
+                        let frames = reading.frames.saturating_sub(frames);
+                        let frames_hz = frames as f64 * 1e9 / reading.t_ns.saturating_sub(t_ns).max(1) as f64;
+                        self.follower.board.write(&self.follower.id, |entry| entry.frames_hz = frames_hz);
+                    }
                     following.relation.push(left, reading.t_ns, came);
                     if let Some(related) = following.relation.at(came) {
                         let seconds = |ns: i64| (ns / 1000) as f64 * 1e-6;
@@ -357,7 +382,7 @@ impl Work {
         if following.newest_event_id == u64::MAX || after == 0 {
             following.newest_event_id = joined.last_event_id;
         }
-        let fed = |Bytes(bytes): &Bytes| wire::read_fed(bytes).ok();
+        let fed = |Bytes(bytes): &Bytes| wire::read_fed(bytes).ok().map(|(head, item, _)| (head, item));
         for (head, item) in joined.events.iter().filter_map(fed) {
             let event_id = head.stamp.event_id.unwrap_or(0);
             if event_id > following.last_event_id && event_id <= until {
@@ -407,6 +432,9 @@ impl Work {
             }
         };
         let fused = fuser.is_some();
+        let mut wish = end.wish();
+        // Clients of all stages may have asked already, and those of an earlier run are gone.
+        wish.mark_changed();
         board.write(id, |entry| {
             entry.name.clone_from(&stage.name);
             entry.epoch_utc = Some(rfc3339(joined.run));
@@ -423,14 +451,22 @@ impl Work {
             last_event_id: 0,
             newest_event_id: joined.last_event_id,
             relation: Relation::default(),
+            wish,
+            counted: None,
             status: (Status::default(), Stamp { topic: Topic::Status, body: 0, t_us: 0, event_id: None }),
-            frames: 0,
         };
         Ok((following, until))
     }
 }
 
 impl Following {
+    /// The stage speaks of an event: where it has not come, it is asked for.
+    fn hear_of(&mut self, event_id: u64) {
+        if self.newest_event_id != u64::MAX {
+            self.newest_event_id = self.newest_event_id.max(event_id);
+        }
+    }
+
     async fn event(&mut self, follower: &Follower, item: Item, stamp: Stamp) {
         self.last_event_id = stamp.event_id.unwrap_or(self.last_event_id);
         let last_event_id = self.last_event_id;

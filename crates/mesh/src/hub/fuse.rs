@@ -9,8 +9,8 @@ use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use tokio::sync::mpsc;
 
 use crate::wire::{Begin, Bytes, LogChunk};
-use posed_daemon::server::Item;
-use posed_protocol::{Payload, Stamp, unpack};
+use posed_daemon::server::{Incoming, Item};
+use posed_protocol::{Payload, Selection, unpack};
 use posed_recording::Machine;
 use posed_stage::input::Entry;
 use posed_stage::output::Output;
@@ -37,7 +37,7 @@ pub(super) enum Taken {
 
 impl Fuser {
     /// Goes on where the stage stood; gives the newest event up to there too.
-    pub(super) fn start(begin: &Begin, items: mpsc::Sender<(Item, Stamp)>) -> Result<(Self, u64), String> {
+    pub(super) fn start(begin: &Begin, items: mpsc::Sender<Incoming>) -> Result<(Self, u64), String> {
         let (_, machine) = Machine::as_recorded(&begin.header).map_err(|error| error.to_string())?;
         let last_event_id = machine.publisher.last_event_id();
         let (entries, taken) = bounded(ENTRIES);
@@ -82,7 +82,7 @@ impl Drop for Fuser {
 }
 
 /// The thread: until no more entries can come, or nobody takes what is said.
-fn run(mut machine: Machine, taken: &Receiver<Bytes>, items: &mpsc::Sender<(Item, Stamp)>) {
+fn run(mut machine: Machine, taken: &Receiver<Bytes>, items: &mpsc::Sender<Incoming>) {
     for Bytes(bytes) in taken {
         let entry: Entry = match unpack(&bytes) {
             Ok(entry) => entry,
@@ -98,7 +98,7 @@ fn run(mut machine: Machine, taken: &Receiver<Bytes>, items: &mpsc::Sender<(Item
             let Some(payload) = Payload::of(&output) else { return };
             let stamp = publisher.skip(&payload);
             if let Some(item) = owned(&output) {
-                gone |= items.blocking_send((item, stamp)).is_err();
+                gone |= items.blocking_send(Incoming { item, stamp, held: Selection::whole() }).is_err();
             }
         });
         if gone {

@@ -7,6 +7,7 @@
 //! In: stages that zenoh shows. Out: the same messages as at the stages, and a board of what is there. Never: a change at a
 //! stage.
 
+mod asking;
 mod board;
 mod follow;
 mod fuse;
@@ -41,7 +42,7 @@ use posed_stage::Stage;
 /// Distance of two words about all stages when nothing changes.
 const TELL: Duration = Duration::from_secs(1);
 /// Stages that are followed at a time.
-const STAGES: usize = 64;
+const STAGES: usize = 256;
 /// Time that everything has to end.
 const SHUTDOWN: Duration = Duration::from_secs(4);
 

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Runs that are known.
-pub(super) const RUNS: usize = 256;
+pub(super) const RUNS: usize = 512;
 
 /// Runs that are there now, by the stage's key.
 #[derive(Debug, Default)]

@@ -78,6 +78,18 @@ impl Channel {
         }
     }
 
+    /// The topics that it shows something of; of the log none, since it shows events of all.
+    pub fn topics(&self) -> &[Topic] {
+        match &self.content {
+            Content::Transforms => &[Topic::Sensors, Topic::Body],
+            Content::Pose(_) | Content::Sensors => &[Topic::Sensors],
+            Content::Body => &[Topic::Body],
+            Content::Truth => &[Topic::Truth],
+            Content::Log => &[],
+            Content::Published(topic) => std::slice::from_ref(topic),
+        }
+    }
+
     /// Whether it is the log.
     pub fn is_log(&self) -> bool {
         self.content == Content::Log
