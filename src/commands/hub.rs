@@ -25,7 +25,8 @@ pub(crate) fn prepare() {
 /// Which stages to join, and where to show them.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  posed hub --listen tcp/0.0.0.0:7447\n  posed hub hub.toml\n  \
-    posed hub --connect tcp/10.0.0.7:7447 --http 127.0.0.1:8800 --fuse stage-a\n\n\
+    posed hub --connect tcp/10.0.0.7:7447 --http 127.0.0.1:8800 --fuse stage-a\n  \
+    posed hub --certificates links --for hub.local,192.168.1.5 --for stage-a\n\n\
     Every stage whose file has [zenoh] connect = [\"tcp/THIS-COMPUTER:7447\"] then shows. Ctrl-C or SIGTERM ends it.")]
 pub(crate) struct Args {
     /// A stage file without devices: name, [server] with its tokens, [zenoh].
@@ -43,11 +44,18 @@ pub(crate) struct Args {
     /// Fuse this stage here, from its input log, by its name on the page; may be given several times.
     #[arg(long, value_name = "STAGE")]
     fuse: Vec<String>,
+    /// Makes certificates for encrypted links in this folder and ends: an authority, if the folder has none, and one for each computer.
+    #[arg(long, value_name = "FOLDER", requires = "computers")]
+    certificates: Option<PathBuf>,
+    /// A computer to make a certificate for: the names and addresses by which others connect to it, with commas between; may be given
+    /// several times.
+    #[arg(long = "for", id = "computers", value_name = "NAME,ADDRESS", requires = "certificates")]
+    computers: Vec<String>,
 }
 
 #[cfg(not(feature = "zenoh"))]
 pub(crate) fn run(args: Args) -> Result<(), Error> {
-    let Args { file: _, listen: _, connect: _, http: _, fuse: _ } = args;
+    let Args { file: _, listen: _, connect: _, http: _, fuse: _, certificates: _, computers: _ } = args;
     Err(Error::Failed(
         "this posed was built without zenoh; install the packaged one, or build it with `--features zenoh`"
             .to_owned(),
@@ -61,9 +69,12 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     use posed_mesh::{Hub, HubOptions};
     use posed_stage::Stage;
 
-    let Args { file, listen, connect, http, fuse } = args;
+    let Args { file, listen, connect, http, fuse, certificates, computers } = args;
+    if let Some(folder) = certificates {
+        return make_certificates(&folder, &computers);
+    }
     // Checked as the keys of a file are.
-    let flags = toml::toml! {
+    let mut flags = toml::toml! {
         name = "hub"
         [zenoh]
         listen = (listen.clone())
@@ -78,6 +89,10 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         None => (Stage::parse("name = \"hub\"").map_err(Error::failed)?, PathBuf::new()),
     };
     if given {
+        let tls = stage.zenoh.as_ref().and_then(|zenoh| zenoh.tls.as_ref());
+        if let (Some(tls), Some(zenoh)) = (tls, flags["zenoh"].as_table_mut()) {
+            zenoh.insert("tls".to_owned(), toml::Value::try_from(tls).map_err(Error::failed)?);
+        }
         let checked =
             Stage::parse(&flags.to_string()).map_err(|problems| Error::Usage(problems.to_string()))?;
         let zenoh = stage.zenoh.get_or_insert_default();
@@ -97,6 +112,27 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         hub.shutdown().await;
         ended
     })
+}
+
+/// Certificates for encrypted links, and what to do with them.
+#[cfg(feature = "zenoh")]
+fn make_certificates(folder: &std::path::Path, computers: &[String]) -> Result<(), Error> {
+    use std::fmt::Write as _;
+
+    let written = posed_mesh::write_certificates(folder, computers).map_err(Error::failed)?;
+    let mut text = String::new();
+    for path in &written {
+        let _ = writeln!(text, "wrote {}", path.display());
+    }
+    if written.is_empty() {
+        let _ = writeln!(text, "nothing to do: all of these have certificates in {}", folder.display());
+    }
+    let _ = writeln!(
+        text,
+        "Copy {}, NAME.pem and NAME-key.pem to each computer, and name them in [zenoh.tls] there; authority-key.pem stays here.",
+        posed_mesh::AUTHORITY
+    );
+    super::print(&text)
 }
 
 /// All stages in one line.

@@ -11,7 +11,7 @@ use tokio::sync::watch;
 use tokio_tungstenite::connect_async;
 
 use crate::chromium::{self, Browser};
-use crate::daemon::process::{PATIENCE, Posed, frames, ok, refused, two_devices, until};
+use crate::daemon::process::{PATIENCE, Posed, frames, ok, refused, succeed, two_devices, until};
 use crate::server::harness::{Client, get};
 
 /// A port that was free a moment ago.
@@ -434,39 +434,75 @@ async fn programs_on_the_network_get_messages_status_and_recordings() {
     assert_eq!(stage.end("INT").await.code(), Some(0));
 }
 
+/// Certificates of an authority of their own for these computers.
+fn certificates(folder: &std::path::Path, computers: &[&str]) {
+    let mut command = vec!["hub".to_owned(), "--certificates".to_owned(), folder.display().to_string()];
+    command.extend(computers.iter().flat_map(|computer| ["--for".to_owned(), (*computer).to_owned()]));
+    succeed(command);
+}
+
+/// Links that are encrypted and want names and passwords: who has all of it is let in, and everybody else says what is wrong.
 #[tokio::test(flavor = "multi_thread")]
-async fn who_has_no_password_is_not_let_in() {
+async fn only_who_has_certificate_and_password_is_let_in_and_the_others_say_what_they_lack() {
     let folder = tempfile::tempdir().unwrap();
-    let port = free_port();
-    std::fs::write(folder.path().join("users"), "stage:a-long-enough-password\n").unwrap();
-    let hub_toml = folder.path().join("hub.toml");
-    let text = format!("name = \"Hall\"\n[zenoh]\nlisten = [\"tcp/127.0.0.1:{port}\"]\nusers = \"users\"\n");
-    std::fs::write(&hub_toml, text).unwrap();
+    let path = |name: &str| folder.path().join(name);
+    certificates(&path("ours"), &["127.0.0.1", "stage"]);
+    certificates(&path("theirs"), &["stage"]);
+    std::fs::write(path("users"), "stage:a-long-enough-password\n").unwrap();
+    let (port, plain) = (free_port(), free_port());
+    let tls = |of: &str, name: &str| {
+        format!(
+            "tls = {{authority = \"{of}/authority.pem\", certificate = \"{of}/{name}.pem\", key = \"{of}/{name}-key.pem\"}}"
+        )
+    };
+    let (password, wrong) = ("password = \"a-long-enough-password\"", "password = \"another-long-password\"");
+    let user = "user = \"stage\"";
+    let write = |name: &str, zenoh: &[&str]| {
+        let file = path(&format!("{name}.toml"));
+        std::fs::write(&file, format!("name = \"{name}\"\n[zenoh]\n{}\n", zenoh.join("\n"))).unwrap();
+        file
+    };
+    let listen = format!("listen = [\"tls/127.0.0.1:{port}\", \"tcp/127.0.0.1:{plain}\"]");
+    let hub_toml = write("Hall", &[&listen, "users = \"users\"", &tls("ours", "127.0.0.1")]);
     let args = ["hub".as_ref(), hub_toml.as_os_str(), "--http".as_ref(), "127.0.0.1:0".as_ref()];
     let hub = Posed::spawn(Command::new(env!("CARGO_BIN_EXE_posed")).args(args));
-    let start = |name: &str, password: &str| {
-        let connect = format!("connect = [\"tcp/127.0.0.1:{port}\"]");
-        let text =
-            format!("name = \"{name}\"\n[zenoh]\n{connect}\nuser = \"stage\"\npassword = \"{password}\"\n");
-        let file = folder.path().join(format!("{name}.toml"));
-        std::fs::write(&file, text).unwrap();
-        Posed::start(["run".as_ref(), file.as_os_str()])
+    let start = |name: &str, address: String, more: &[&str]| {
+        let connect = format!("connect = [\"{address}\"]");
+        Posed::start(["run".as_ref(), write(name, &[&[&*connect], more].concat()).as_os_str()])
     };
-    let _wrong = start("wrong", "another-long-password");
-    let _right = start("right", "a-long-enough-password");
+    let (encrypted, unencrypted) = (format!("tls/127.0.0.1:{port}"), format!("tcp/127.0.0.1:{plain}"));
+    let (ours, theirs) = (tls("ours", "stage"), tls("theirs", "stage"));
+    let refused = [
+        ("zenoh_password", start("password", encrypted.clone(), &[user, wrong, &ours])),
+        ("zenoh_password", start("plain-password", unencrypted.clone(), &[user, wrong])),
+        ("zenoh_refused", start("nobody", unencrypted.clone(), &[])),
+        ("zenoh_certificate", start("stranger", encrypted.clone(), &[user, password, &theirs])),
+        ("zenoh_speaks_tls", start("plain", format!("tcp/127.0.0.1:{port}"), &[user, password])),
+        ("zenoh_speaks_plain", start("tls", format!("tls/127.0.0.1:{plain}"), &[user, password, &ours])),
+        ("zenoh_unreachable", start("alone", format!("tcp/127.0.0.1:{}", free_port()), &[])),
+    ];
+    let _right = start("right", encrypted, &[user, password, &ours]);
+    for (code, stage) in &refused {
+        let status = until(&mut stage.subscriber(&["status"]).await, code, |message| {
+            message["problems"]
+                .as_array()
+                .is_some_and(|problems| problems.iter().any(|problem| problem["code"] == *code))
+        })
+        .await;
+        let text = status.to_string();
+        assert!(!text.contains("long-enough") && !text.contains("another-long"), "{text}");
+    }
     let mut all = client(hub.address, "/ws").await;
-    stages(&mut all, "the one with the password", |stage| {
+    stages(&mut all, "the one that has everything", |stage| {
         stage["id"] == "right" && stage["state"] == "present"
     })
     .await;
-    // A few more attempts of the other.
-    for _ in 0..3 {
+    // After some more attempts of the others.
+    for _ in 0..2 {
         let reported = until(&mut all, "stages", |message| message["type"] == "stages").await;
-        assert!(
-            reported["stages"].as_array().unwrap().iter().all(|stage| stage["id"] != "wrong"),
-            "{reported}"
-        );
+        assert_eq!(reported["stages"].as_array().unwrap().len(), 1, "{reported}");
     }
+    assert_eq!(hub.end("INT").await.code(), Some(0));
 }
 
 #[tokio::test(flavor = "multi_thread")]

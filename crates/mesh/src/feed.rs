@@ -11,6 +11,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 
+use super::links::Links;
 use super::twins::Twins;
 use super::wire::{Bytes, Head, Joined, VERSION, write_fed};
 use super::wishes::{Health, Wishes};
@@ -40,6 +41,7 @@ struct Shared {
     kept: Mutex<Kept>,
     wanted: Wanted,
     wishes: Wishes,
+    links: Links,
     twins: Twins,
     /// Frames so far.
     frames: AtomicU64,
@@ -108,6 +110,7 @@ impl Feed {
             kept: Mutex::default(),
             wanted: Wanted::default(),
             wishes: Wishes::default(),
+            links: Links::default(),
             twins: Twins::default(),
             frames: AtomicU64::new(0),
             broken: OnceLock::new(),
@@ -153,6 +156,11 @@ impl Feed {
 
     pub(super) fn twins(&self) -> &Twins {
         &self.shared.twins
+    }
+
+    /// Whether the links are there.
+    pub(super) fn links(&self) -> &Links {
+        &self.shared.links
     }
 
     /// What hubs want of states.
@@ -260,7 +268,8 @@ impl posed_daemon::link::Feed for Feed {
             Problem::new("zenoh_slow", format!("zenoh is too slow for this stage: {lost} {rest}"))
                 .with("lost", lost)
         });
-        broken.or_else(|| self.shared.twins.problem(&self.shared.about.key)).or(slow)
+        let Shared { twins, links, about, .. } = &*self.shared;
+        broken.or_else(|| twins.problem(&about.key)).or_else(|| links.problem()).or(slow)
     }
 }
 

@@ -13,17 +13,21 @@
 //! thread or of the distributor, or a change at a stage by another machine.
 
 mod answers;
+mod certificates;
 mod feed;
 mod frame;
 mod hub;
 mod input_log;
 mod link;
+mod links;
+mod obstacle;
 mod ros2;
 mod session;
 mod twins;
 mod wire;
 mod wishes;
 
+pub use self::certificates::{AUTHORITY, CertificatesError, write_certificates};
 pub use self::hub::{Hub, HubError, HubOptions};
 pub use self::link::connect;
 pub use self::ros2::publish_ros2;

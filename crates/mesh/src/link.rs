@@ -58,9 +58,12 @@ impl Threads {
             recordings,
             stage_toml,
         };
-        let session = thread("zenoh-open", move || session::open(&settings))?
-            .join()
-            .map_err(|_| LinkError::Crashed)??;
+        let session = thread("zenoh-open", {
+            let settings = settings.clone();
+            move || session::open(&settings)
+        })?
+        .join()
+        .map_err(|_| LinkError::Crashed)??;
 
         let (failed, begun) = bounded(2);
         let mut threads = vec![thread("zenoh-feed", {
@@ -88,6 +91,7 @@ impl Threads {
         if let Some(error) = begun.iter().take(2).flatten().next() {
             return Err(LinkError::Zenoh(error.into()));
         }
+        feed.links().watch(session.clone(), settings, stopped.clone())?;
         this.threads.push(answers.start(session, stopped)?);
         tracing::info!("on zenoh as {}", keys.stage());
         Ok(Link { feed: Box::new(feed), log: Some(Box::new(log)), session: Box::new(this) })

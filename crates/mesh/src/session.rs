@@ -1,11 +1,11 @@
-//! A zenoh session as stages and hubs need it: TCP only, nothing looked for by itself, broken links noticed and repaired quickly.
+//! A zenoh session as stages and hubs need it: TCP and TLS only, nothing looked for by itself, broken links noticed and repaired quickly.
 
 use std::thread::JoinHandle;
 
 use serde_json::json;
 use zenoh::{Config, Session, Wait};
 
-use posed_stage::{Secret, Zenoh};
+use posed_stage::{Secret, Zenoh, ZenohTls};
 
 /// A link that has brought nothing for so long is given up, ms. Short, because TCP alone would send again only many seconds after
 /// a long cut is repaired; four signs of life fit in, so that loss does not end a link.
@@ -112,6 +112,20 @@ fn config(settings: &Zenoh) -> zenoh::Result<Config> {
         let users = serde_json::to_string(users)?;
         config.insert_json5("transport/auth/usrpwd/dictionary_file", &users)?;
     }
+    if let Some(ZenohTls { authority, certificate, key }) = &settings.tls {
+        let path = |path: &std::path::Path| serde_json::to_string(path);
+        for (name, value) in [
+            ("root_ca_certificate", path(authority)?),
+            // Either end shows its own and looks at the other's.
+            ("enable_mtls", "true".to_owned()),
+            ("listen_certificate", path(certificate)?),
+            ("listen_private_key", path(key)?),
+            ("connect_certificate", path(certificate)?),
+            ("connect_private_key", path(key)?),
+        ] {
+            config.insert_json5(&format!("transport/link/tls/{name}"), &value)?;
+        }
+    }
     Ok(config)
 }
 
@@ -170,11 +184,23 @@ mod tests {
             user: Some("a".to_owned()),
             password: Some("b".to_owned().into()),
             users: Some("/etc/posed/users".into()),
+            tls: Some(ZenohTls {
+                authority: "/etc/posed/authority.pem".into(),
+                certificate: "/etc/posed/hub.pem".into(),
+                key: "/etc/posed/hub-key.pem".into(),
+            }),
             ..Zenoh::default()
         };
         let config = config(&settings).unwrap();
         let emitted = config.to_string();
-        for part in ["hub.local:7447", "\"lease\":2000", "\"/etc/posed/users\"", "\"mode\":\"peer\""] {
+        for part in [
+            "hub.local:7447",
+            "\"lease\":2000",
+            "\"/etc/posed/users\"",
+            "\"mode\":\"peer\"",
+            "hub-key.pem",
+            "\"enable_mtls\":true",
+        ] {
             assert!(emitted.contains(part), "{part} in {emitted}");
         }
     }

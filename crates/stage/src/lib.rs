@@ -52,7 +52,7 @@ pub use models::LoadedModels;
 pub use port::{PortAddress, PortAddressError};
 pub use problem::{LoadError, Problem, Problems};
 pub use secrets::{Secret, readable_by_others, without_secrets};
-pub use zenoh::Zenoh;
+pub use zenoh::{Zenoh, ZenohTls};
 
 /// A stage file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
@@ -131,8 +131,8 @@ impl Stage {
     /// Reads a stage from its file, and looks at the files that it names.
     ///
     /// Relative paths begin at the file's folder and are joined with it in the result: those of `server.tls`, `models`,
-    /// `segments`, `zenoh.users` and `recording`. Files of secrets (`secret_file`, `password_file`, `server.tls.key`,
-    /// `zenoh.users`) are looked for in the folder that the environment names as `CREDENTIALS_DIRECTORY` first; what the first
+    /// `segments`, `zenoh.users`, `zenoh.tls` and `recording`. Files of secrets (`secret_file`, `password_file`, `server.tls.key`,
+    /// `zenoh.users`, `zenoh.tls.key`) are looked for in the folder that the environment names as `CREDENTIALS_DIRECTORY` first; what the first
     /// two hold is read. `lsl.library` and what is in `simulation` stay as they are written. Warnings are left out: [`check_in`]
     /// gives them.
     ///
@@ -172,6 +172,11 @@ impl Stage {
         }
         if let Some(users) = stage.zenoh.as_mut().and_then(|zenoh| zenoh.users.as_mut()) {
             *users = secrets::secret_path(folder, users);
+        }
+        if let Some(tls) = stage.zenoh.as_mut().and_then(|zenoh| zenoh.tls.as_mut()) {
+            tls.authority = folder.join(&tls.authority);
+            tls.certificate = folder.join(&tls.certificate);
+            tls.key = secrets::secret_path(folder, &tls.key);
         }
         let Self { models, recording, .. } = &mut stage;
         let Models { faults_folder, exercise_folder, imu_folder, segments_folder, .. } = models;

@@ -6,14 +6,14 @@ use serde::{Deserialize, Serialize};
 
 use super::{Secret, Stage};
 
-/// Hubs and other programs on other machines, by zenoh over TCP. Nothing is looked for: one end listens, the other connects.
+/// Hubs and other programs on other machines, by zenoh over TCP or TLS. Nothing is looked for: one end listens, the other connects.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Zenoh {
-    /// Addresses to listen on, `tcp/ADDRESS:PORT`. zenoh's own link is not encrypted: only on a network that is trusted.
+    /// Addresses to listen on: `tls/ADDRESS:PORT`, encrypted, with `tls`; or `tcp/ADDRESS:PORT`, which is not, for a network that is trusted.
     #[serde(default)]
     pub listen: Vec<String>,
-    /// Addresses of hubs, of routers or of stages to connect to, `tcp/HOST:PORT`; tried again for ever.
+    /// Addresses of hubs, of routers or of stages to connect to, `tls/HOST:PORT` or `tcp/HOST:PORT`; tried again for ever.
     #[serde(default)]
     pub connect: Vec<String>,
     /// Longest time that a packet takes on these connections to the other end and back, ms. An attempt to connect lasts five times as
@@ -34,6 +34,20 @@ pub struct Zenoh {
     /// File of those whom an end that listens lets in, a line `NAME:PASSWORD` for each; absent: everybody. A relative path is
     /// looked for among the service's credentials first.
     pub users: Option<PathBuf>,
+    /// Certificates of links that are encrypted, addresses with `tls/`.
+    pub tls: Option<ZenohTls>,
+}
+
+/// Certificates of encrypted links: either end shows one, and takes only what the authority has signed. `posed hub --certificates` makes them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ZenohTls {
+    /// PEM file with the certificate of the authority, the same on all computers.
+    pub authority: PathBuf,
+    /// PEM file with this computer's certificate, for the names and addresses that others connect to.
+    pub certificate: PathBuf,
+    /// PEM file with its private key. A relative path is looked for among the service's credentials first.
+    pub key: PathBuf,
 }
 
 fn default_round_trip_ms() -> f64 {
@@ -51,6 +65,7 @@ impl Default for Zenoh {
             password: None,
             password_file: None,
             users: None,
+            tls: None,
         }
     }
 }

@@ -26,8 +26,14 @@ export const PROBLEMS: Record<string, (values: Values) => string | null> = {
   vanished: () => "Der Hub sieht diese Stage nicht mehr: Ihr Daemon ist beendet, oder das Netz zu ihr ist unterbrochen. Was zu sehen ist, ist alt.",
   version: ({ version }) => `Dort läuft posed ${version}, das eine andere Fassung der Sprache des Hubs spricht.`,
   wall_clock: ({ jump_s }) => `Die Uhr des Rechners wurde um ${jump_s} s verstellt. Zeiten dieses Laufs zählen weiter von seinem Beginn: posed neu starten, bevor mit anderen Rechnern verglichen wird.`,
+  zenoh_certificate: ({ at, reason }) => `Keine Verbindung zu ${at}: Die Zertifikate passen nicht (${reason}).`,
+  zenoh_password: ({ at }) => `Keine Verbindung zu ${at}: Dort wird dieser Name mit diesem Passwort abgelehnt, oder eine andere Fassung von zenoh gesprochen.`,
+  zenoh_refused: ({ at }) => `Keine Verbindung zu ${at}: Dort werden ein Name und ein Passwort verlangt, oder eine andere Fassung von zenoh gesprochen.`,
   zenoh_slow: ({ lost }) => `zenoh ist zu langsam für diese Stage: In der letzten Sekunde sind ${lost} Nachrichten an andere Rechner weggefallen.`,
+  zenoh_speaks_plain: ({ at }) => `Keine Verbindung zu ${at}: Dort wird nicht verschlüsselt; tcp/ vor die Adresse schreiben, oder dort [zenoh.tls] angeben.`,
+  zenoh_speaks_tls: ({ at }) => `Keine Verbindung zu ${at}: Dort wird nur verschlüsselt verbunden; tls/ vor die Adresse schreiben, und [zenoh.tls] angeben.`,
   zenoh_twin: ({ key }) => `Ein anderer Daemon läuft unter dem Schlüssel ${key} auf zenoh, und Hubs halten beide für einen: einen beenden, oder ihm einen anderen Namen oder zenoh.key geben.`,
+  zenoh_unreachable: ({ at, reason }) => `Keine Verbindung zu ${at}: ${reason}. Läuft es dort, und stimmt die Adresse?`,
 };
 
 const then = (what: string) => `${what}, dreimal; dann still stehen`;

@@ -74,7 +74,7 @@ pub use self::hub::{Hub, Item};
 pub use self::hub_server::{HubServer, Incoming, StageEndpoint, StageRegistry};
 pub(crate) use self::listen::MakesWay;
 pub(crate) use self::listener::socket;
-pub use self::phones::CertificateError;
+pub use self::phones::{CertificateError, write_secret};
 pub use self::remote_files::{Answered, RemoteError, RemoteRecording, RemoteRecordings};
 pub use self::requests::{PendingCall, Refusal, Reply};
 pub(crate) use self::takes::{LetGo, Shelf, Take, TakeError};

@@ -32,6 +32,7 @@ use self::board::Board;
 use self::follow::Follower;
 use self::runs::{RUNS, Runs};
 use self::tokens::Tokens;
+use super::links::Links;
 use super::session::{self, LinkError};
 use super::wire::{Keys, RUN, TOKEN};
 use posed_daemon::server::{BindError, HubServer, StageRegistry};
@@ -80,6 +81,8 @@ pub struct Hub {
     vital: Vital,
     tasks: JoinSet<()>,
     session: Session,
+    /// Ends the thread that looks at the links when it is dropped.
+    _links: crossbeam_channel::Sender<()>,
 }
 
 impl Hub {
@@ -98,8 +101,14 @@ impl Hub {
             HubServer::bind(&stage.name, clock.epoch_utc_ns(), &stage.server, http, &folder)?;
         let settings = stage.zenoh.unwrap_or_default();
         #[expect(clippy::disallowed_methods, reason = "zenoh is opened where it may block")]
-        let opened = std::thread::spawn(move || session::open(&settings)).join();
+        let opened = std::thread::spawn({
+            let settings = settings.clone();
+            move || session::open(&settings)
+        })
+        .join();
         let session = opened.map_err(|_| LinkError::Crashed)??;
+        let (links_end, links_down) = crossbeam_channel::bounded(0);
+        Links::default().watch(session.clone(), settings, links_down)?;
         let (shutdown, down) = watch::channel(false);
         let (reported, stages) = watch::channel(Stages::default());
         let (address, url) = (server.address(), server.url());
@@ -121,7 +130,7 @@ impl Hub {
             reported: BTreeMap::new(),
         };
         tasks.spawn(vital.task("what follows the stages", followers.run(down)));
-        Ok(Self { address, url, shutdown, stages, vital, tasks, session })
+        Ok(Self { address, url, shutdown, stages, vital, tasks, session, _links: links_end })
     }
 
     /// The address that the page listens on; its port is the one given by the system where 0 was asked for.

@@ -181,7 +181,7 @@ fn loopback(listen: &str) -> Option<bool> {
 }
 
 /// The file under `key`, which is `full`, must hold a PEM block of some kind.
-fn pem(tls: &Item<'_, '_>, key: &str, block: &str, full: &Path, notes: &mut Notes<'_>) {
+pub(super) fn pem(tls: &Item<'_, '_>, key: &str, block: &str, full: &Path, notes: &mut Notes<'_>) {
     let Some(path) = tls.text(key) else { return };
     match fs::read(full) {
         Err(error) => {

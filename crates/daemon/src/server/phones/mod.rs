@@ -27,6 +27,7 @@ pub use self::certificate::CertificateError;
 pub(crate) use self::gate::{Connected, Gate, Reader};
 pub(super) use self::http::{TokenIs, routes};
 pub(crate) use self::placing::Placing;
+pub use self::secret::write as write_secret;
 
 use self::announce::Announced;
 use self::certificate::Certificates;

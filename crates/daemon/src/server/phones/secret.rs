@@ -11,8 +11,11 @@ const TOKEN: &str = "token";
 /// Bytes of chance in a token: none is guessed, and it still fits a small QR code.
 const TOKEN_BYTES: usize = 15;
 
-/// Writes a new file, mode 0600, whole or not at all.
-pub(super) fn write(path: &Path, text: &str) -> io::Result<()> {
+/// Writes a new file, mode 0600, whole or not at all; its folder is made if there is none, mode 0700.
+///
+/// # Errors
+/// What the system says.
+pub fn write(path: &Path, text: &str) -> io::Result<()> {
     use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
     if let Some(folder) = path.parent() {
         std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
