@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use posed_protocol::DigestCounts;
-use posed_recording::{Info, Repaired};
+use posed_recording::{Info, Repaired, TimecodeInfo};
 use posed_stage::RecordingContent;
 
 use super::progress::Progress;
@@ -83,6 +83,10 @@ fn sentences(info: &Info) -> String {
         text.push_str(&format!(
             "digest    {marks} marks, {faults} faults, {segments} segments, {repetitions} repetitions, {key_poses} key poses\n"
         ));
+    }
+    if let Some(TimecodeInfo { from, to, rate, frames, jumps }) = &info.timecode {
+        let rate = rate.unwrap_or("a rate that is not known");
+        text.push_str(&format!("timecode  {from} to {to} at {rate}, {frames} frames read, {jumps} jumps\n"));
     }
     match (&info.problem, &info.ended) {
         (Some(problem), _) => text.push_str(&format!("problem   {problem}\n")),

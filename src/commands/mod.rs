@@ -52,6 +52,7 @@ mod service;
 mod session;
 mod simulate;
 mod simulation;
+mod timecode;
 mod watch;
 
 use std::io::{self, IsTerminal, Write};
@@ -107,6 +108,8 @@ enum Command {
     Segments(segments::Args),
     /// Reports what is inside a recording, and completes one that breaks off.
     Info(info::Args),
+    /// Finds time code in a sound file or a recording, where the two lie together, and claps.
+    Timecode(timecode::Args),
     /// Writes a recording's poses or messages to a file that other programs open.
     Export(export::Args),
     /// Orientation of single IMUs from a file of samples.
@@ -142,6 +145,7 @@ impl Command {
             Self::Keyframes(args) => keyframes::run(args),
             Self::Segments(args) => segments::run(args),
             Self::Info(args) => info::run(args),
+            Self::Timecode(args) => timecode::run(args),
             Self::Export(args) => export::run(args),
             Self::Orient(args) => orient::run(args),
             Self::Imu(args) => imu::run(args),

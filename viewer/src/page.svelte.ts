@@ -3,7 +3,7 @@
 import { type LinkState, Link } from "./link";
 import { Model } from "./model";
 import { Pace } from "./pace";
-import type { FigureMessage, Hello, JobsMessage, Job, RunningSession, SensorsMessage, StatusMessage } from "./protocol";
+import type { FigureMessage, Hello, JobsMessage, Job, RunningSession, SensorsMessage, StatusMessage, TimecodeMessage } from "./protocol";
 
 /** Data older than this are shown as old. */
 const STALE_MS = 1500;
@@ -19,6 +19,8 @@ class Live {
   status = $state.raw<StatusMessage | null>(null);
   jobs = $state.raw<JobsMessage | null>(null);
   sessions = $state.raw<RunningSession[]>([]);
+  /** Null where the stage reads none, or has not yet. */
+  timecode = $state.raw<TimecodeMessage | null>(null);
   /** Ten times a second. */
   sensors = $state.raw<SensorsMessage | null>(null);
   body = $state.raw<FigureMessage | null>(null);
@@ -53,6 +55,7 @@ model.listen((message) => {
   switch (message.type) {
     case "hello":
       live.hello = message;
+      live.timecode = null;
       break;
     case "status":
       live.status = message;
@@ -62,6 +65,9 @@ model.listen((message) => {
       break;
     case "session":
       live.sessions = message.sessions;
+      break;
+    case "timecode":
+      live.timecode = message;
       break;
   }
 });

@@ -784,6 +784,8 @@ export type ExerciseEventMessage = ({
   t_s: number;
   /** Capture time it speaks of, s: of a repetition its end. */
   t_valid_s: number;
+  /** Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`. */
+  timecode?: string | null;
 };
 
 /** How far a subject is with an exercise. */
@@ -865,6 +867,8 @@ export type FaultMessage = ({
   t_s: number;
   /** Capture time it speaks of, s. */
   t_valid_s: number;
+  /** Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`. */
+  timecode?: string | null;
 };
 
 /** How long a sensor had a fault. */
@@ -996,6 +1000,8 @@ export type FieldEventMessage = ({
   t_s: number;
   /** Capture time it speaks of, s. */
   t_valid_s: number;
+  /** Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`. */
+  timecode?: string | null;
 };
 
 /** What every data message starts with, and its body. */
@@ -1024,6 +1030,8 @@ export type FigureMessage = {
   seq: number;
   /** Capture time of the newest sample in it, s; rises strictly from one message of this body to the next. */
   t_s: number;
+  /** Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`. */
+  timecode?: string | null;
 };
 
 /** A segment of a figure that stands above the room's origin and looks along the room's x. */
@@ -1191,6 +1199,18 @@ export type HelloSensor = {
   name: string;
 };
 
+/** The wall clock of the computer that the stage runs on. The stage's own times do not follow it: they count from `hello.epoch_utc`. */
+export type HostClock = {
+  /** How far off it is taken to be, s. */
+  estimated_error_s: number;
+  /** How far off it may be at most, s; 16 s and more where nothing follows. */
+  max_error_s: number;
+  /** Whether it follows another clock, by NTP or PTP. */
+  synchronised: boolean;
+  /** TAI minus UTC, s, which PTP works with; null where nobody has set it. */
+  tai_offset_s: number | null;
+};
+
 /** What was found for one unit. */
 export type Intrinsics = {
   /** Subtract from the accelerometer, m/s²; then multiply by scale and cross-axis terms. */
@@ -1258,6 +1278,8 @@ export type JobsMessage = {
   seq: number;
   /** Host time, s; rises strictly. */
   t_s: number;
+  /** Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`. */
+  timecode?: string | null;
 };
 
 /** A joint. */
@@ -1342,6 +1364,8 @@ export type KeyPoseMessage = {
   t_s: number;
   /** Capture time of the key pose, s: the same in all events about one key pose. */
   t_valid_s: number;
+  /** Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`. */
+  timecode?: string | null;
 };
 
 /** What somebody says that a motion shows for a while. */
@@ -1463,6 +1487,8 @@ export type MarkMessage = {
   t_s: number;
   /** Capture time of the frame before it, s. */
   t_valid_s: number;
+  /** Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`. */
+  timecode?: string | null;
 };
 
 /** A raw record in device axes. */
@@ -1566,6 +1592,8 @@ export type MotionSegmentMessage = {
   t_s: number;
   /** Capture time at which the segment begins, s; of a confirmed one it may differ a little from the provisional one's. */
   t_valid_s: number;
+  /** Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`. */
+  timecode?: string | null;
 };
 
 /** How one sensor sits on its segment. */
@@ -1657,6 +1685,9 @@ export type PicturePath = {
   /** Places in order of time, room, m. */
   position_m: ([number, number, number])[];
 };
+
+/** A rate of pictures. */
+export type PictureRate = "23.976" | "24" | "25" | "29.97" | "29.97df" | "30" | "47.952" | "48" | "50" | "59.94" | "59.94df" | "60";
 
 /** A plan: its steps in order, each with all its sets. */
 export type Plan = {
@@ -2060,6 +2091,8 @@ export type SensorsMessage = {
   sigma_t_s?: number | null;
   /** Capture time that the poses belong to, s; rises strictly. */
   t_s: number;
+  /** Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`. */
+  timecode?: string | null;
 };
 
 /** Everything a client can receive. */
@@ -2093,6 +2126,8 @@ export type ServerMessage = Hello & {
   type: "segments";
 } | MarkMessage & {
   type: "marks";
+} | TimecodeMessage & {
+  type: "timecode";
 } | Stages & {
   type: "stages";
 };
@@ -2139,6 +2174,8 @@ export type SessionsMessage = {
   sessions: RunningSession[];
   /** Host time, s; rises strictly. */
   t_s: number;
+  /** Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`. */
+  timecode?: string | null;
 };
 
 /** A stage file, as it is or as it would be with changes, and what is wrong with it. */
@@ -2375,6 +2412,8 @@ export type StatusMessage = {
   dropped: number;
   /** What the disk of the recordings still takes, bytes; null where nobody knows, and in a replay. */
   free_bytes: number | null;
+  /** Whether this computer's clock follows another, as its kernel tells; null where it does not, and in a replay. */
+  host_clock: HostClock | null;
   /** How long each stage of the flow took since the last status. */
   latency: StageLatency[];
   /** What is wrong now, beside the devices' own reasons: disk full, wall clock set, ... */
@@ -2389,6 +2428,8 @@ export type StatusMessage = {
   seq: number;
   /** Host time, s; rises strictly. */
   t_s: number;
+  /** Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`. */
+  timecode?: string | null;
 };
 
 /** An angle that keeps still in an exercise, in the channel's unit. */
@@ -2414,8 +2455,33 @@ export type Takes = {
 /** How much is done. */
 export type Thoroughness = "quick" | "full" | "movement" | "assign";
 
+/** What every data message starts with, and its body. */
+export type TimecodeMessage = {
+  /** By how much the code is faster than its rate on the host's clock, ppm; null with `rate`. */
+  drift_ppm: number | null;
+  /** Data messages of all topics that were dropped for this client so far. */
+  dropped: number;
+  /** How often the code has gone on somewhere else since the stage's beginning. */
+  jumps: number;
+  /** Rate of the pictures; null while the pace does not tell yet, which takes a MIDI source some seconds. */
+  rate: PictureRate | null;
+  /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
+  seq: number;
+  /** Standard deviation of the code, s: it grows while the code is carried on. */
+  sigma_s: number;
+  /** How the code is known. */
+  state: TimecodeState;
+  /** When this is so, s; rises strictly. */
+  t_s: number;
+  /** Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`. */
+  timecode?: string | null;
+};
+
+/** How the time code of a moment is known. */
+export type TimecodeState = "locked" | "holding" | "none";
+
 /** A topic; its name is the `type` of its messages. */
-export type Topic = "status" | "sensors" | "body" | "faults" | "keyframes" | "segments" | "exercise" | "field" | "jobs" | "truth" | "session" | "marks";
+export type Topic = "status" | "sensors" | "body" | "faults" | "keyframes" | "segments" | "exercise" | "field" | "jobs" | "truth" | "session" | "marks" | "timecode";
 
 /** Channels of a whole recording. */
 export type Tracked = {
@@ -2456,6 +2522,8 @@ export type TruthsMessage = {
   seq: number;
   /** Capture time, exact, s; rises strictly. */
   t_s: number;
+  /** Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`. */
+  timecode?: string | null;
 };
 
 /** The turning point of a channel, as it was taught. */

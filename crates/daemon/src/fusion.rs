@@ -364,7 +364,8 @@ impl Fusion {
                 | Output::PoleRun(_)
                 | Output::Named
                 | Output::Body(_)
-                | Output::Truth(_) => {}
+                | Output::Truth(_)
+                | Output::Timecode(_) => {}
             }
             let Some(payload) = Payload::of(&output) else { return };
             // Clients first: the recording has time.

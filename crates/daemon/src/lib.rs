@@ -29,6 +29,7 @@ mod fault_points;
 pub mod find;
 mod free_space;
 mod fusion;
+mod host_clock;
 mod inbox;
 mod jobs;
 mod library;
@@ -46,6 +47,7 @@ pub mod recordings;
 pub mod server;
 mod service;
 mod stages;
+mod timecode;
 mod track;
 mod training;
 mod vital;
@@ -87,6 +89,7 @@ use self::server::phones::{Gate, PhonePlace, PhoneSocket, Phones};
 use self::server::{BindError, Server, Sides};
 use self::service::Service;
 use self::stages::Editor;
+use self::timecode::TimecodeSource;
 use self::training::{Tools, Training};
 use posed_motion::segments::Model;
 use posed_pipeline::{PipelineError, SupervisedPipeline};
@@ -306,6 +309,9 @@ impl Daemon {
         };
         let history = fusion.observers.health.history();
         fusion.observers.health.watch_disk(disk.clone());
+        let timecode =
+            stage.timecode.clone().map(|settings| TimecodeSource::new(settings, clock, inbox.clone()));
+        fusion.observers.health.watch_timecode(timecode.as_ref().map(TimecodeSource::problem));
         for model in loaded.models {
             // Before anything else, and in the log.
             let input = Input::Model(model);
@@ -336,6 +342,9 @@ impl Daemon {
         let calls = calls.on_file(stage_toml, place.editor).with_phones(phones);
         let calls = calls.run(pending, service.down());
         service.spawn("what answers requests", calls);
+        if let Some(timecode) = timecode {
+            service.spawn("what reads time code", timecode.keep_open(service.down()));
+        }
         service.spawn("what looks at the disk", disk.watch(recordings, service.down()));
         Ok(Self { clock, service, inbox, ports, gate, fusion, links })
     }

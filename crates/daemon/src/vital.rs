@@ -10,6 +10,7 @@
 //! |---|---|
 //! | the pipeline | goes on without the entry, or from the beginning ([`posed_pipeline::SupervisedPipeline`]); a problem in `status` |
 //! | a device's port | begins again, as after an unplugged cable; the device's state says so |
+//! | what reads time code | begins again likewise; a problem in `status` |
 //! | a request | is answered with an error; the others go on |
 //! | a job, a recording | ends with a reason; the others go on |
 //! | what keeps sessions of training | goes on without the report that it panicked at |

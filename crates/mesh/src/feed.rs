@@ -214,7 +214,7 @@ impl posed_daemon::link::Feed for Feed {
         let head = Head { run: about.run, last_event_id: kept.last_event_id, stamp: *stamp };
         let whole = || write_fed(&head, item, &Selection::whole());
         match item {
-            Item::Estimate(_) | Item::Body(_) | Item::Truth(_) => {
+            Item::Estimate(_) | Item::Body(_) | Item::Truth(_) | Item::Timecode(_) => {
                 let due = wishes.due(stamp, |selection| write_fed(&head, item, selection));
                 if let Some(bytes) = due.flatten() {
                     self.send(Out::Frame(bytes));
@@ -329,7 +329,8 @@ mod tests {
             let what = OutcomeKind::Fault { sensor: 0, cause: Cause::Gate, active: true };
             let (t_valid, t_decided) = (Timestamp::from_nanos(n as i64), Timestamp::ZERO);
             let item = Item::Outcome(Box::new(Outcome { t_valid, t_decided, what }));
-            let stamp = Stamp { topic: Topic::Faults, body: 0, t_us: n as i64, event_id: Some(n) };
+            let stamp =
+                Stamp { topic: Topic::Faults, body: 0, t_us: n as i64, event_id: Some(n), timecode: None };
             feed.publish(&item, &stamp, &names);
         }
         assert_eq!(taken.try_iter().count(), WAITING);
@@ -342,7 +343,7 @@ mod tests {
         let late = feed.join(1);
         assert_eq!((late.events.len(), late.complete), (EVENTS, false));
         // And what comes next goes out.
-        let status = Stamp { topic: Topic::Status, body: 0, t_us: 1 << 20, event_id: None };
+        let status = Stamp { topic: Topic::Status, body: 0, t_us: 1 << 20, event_id: None, timecode: None };
         feed.publish(&Item::Status(Box::default()), &status, &names);
         assert!(matches!(taken.try_recv(), Ok(Out::State(_))));
     }
@@ -355,7 +356,13 @@ mod tests {
         let names = Names::default();
         let mut second = 0;
         let mut sent = |feed: &Feed, problems: &[Problem]| {
-            let stamp = Stamp { topic: Topic::Status, body: 0, t_us: second * 1_000_000, event_id: None };
+            let stamp = Stamp {
+                topic: Topic::Status,
+                body: 0,
+                t_us: second * 1_000_000,
+                event_id: None,
+                timecode: None,
+            };
             second += 1;
             let status = Status { problems: problems.to_vec(), clients: second as u32, ..Status::default() };
             feed.publish(&Item::Status(Box::new(status)), &stamp, &names);

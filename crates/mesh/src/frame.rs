@@ -187,7 +187,7 @@ mod tests {
         }
         let names = Names::new(&Stage::parse(&stage).unwrap());
         let whole = estimate();
-        let stamp = Stamp { topic: Topic::Sensors, body: 0, t_us: 1, event_id: None };
+        let stamp = Stamp { topic: Topic::Sensors, body: 0, t_us: 1, event_id: None, timecode: None };
         let message = |estimate: &Estimate, view: &View| {
             let mut out = Vec::new();
             encode::body(&Payload::Estimate(estimate), &stamp, &names, view, &mut out);

@@ -254,7 +254,7 @@ mod tests {
         let mut publish = |count: usize| {
             for n in t_ns.by_ref().take(count) {
                 let body = Body { t_valid: Timestamp::from_nanos(n), ..body.clone() };
-                let stamp = Stamp { topic: Topic::Body, body: 0, t_us: n, event_id: None };
+                let stamp = Stamp { topic: Topic::Body, body: 0, t_us: n, event_id: None, timecode: None };
                 feed.publish(&Item::Body(Box::new(body)), &stamp, &Names::default());
             }
         };

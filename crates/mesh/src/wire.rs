@@ -154,7 +154,7 @@ pub(crate) fn write_fed(head: &Head, item: &Item, selection: &Selection) -> Opti
             let frame = Frame::of(estimate, selection);
             rmp_serde::encode::write(&mut out, &Carrying::Frame(&frame)).ok()?;
         }
-        Item::Body(_) | Item::Truth(_) => {
+        Item::Body(_) | Item::Truth(_) | Item::Timecode(_) => {
             rmp_serde::encode::write(&mut out, &Carrying::Item(item)).ok()?;
         }
         // What has optional fields needs their names.

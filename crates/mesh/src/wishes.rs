@@ -125,7 +125,13 @@ mod tests {
 
     /// Frames of a second of 100 Hz that go out.
     fn sent(wishes: &Wishes) -> usize {
-        let stamp = |n: i64| Stamp { topic: Topic::Sensors, body: 0, t_us: n * 10_000, event_id: None };
+        let stamp = |n: i64| Stamp {
+            topic: Topic::Sensors,
+            body: 0,
+            t_us: n * 10_000,
+            event_id: None,
+            timecode: None,
+        };
         (0..100).filter(|n| wishes.due(&stamp(*n), |_| ()).is_some()).count()
     }
 
@@ -139,7 +145,8 @@ mod tests {
             wishes.see(token, SampleKind::Put);
             assert_eq!(sent(&wishes), expected);
         }
-        let stamp = Stamp { topic: Topic::Sensors, body: 0, t_us: 10_000_000, event_id: None };
+        let stamp =
+            Stamp { topic: Topic::Sensors, body: 0, t_us: 10_000_000, event_id: None, timecode: None };
         let fields = wishes.due(&stamp, |selection| selection.fields).unwrap();
         assert!(
             fields.has(Field::PositionM) && fields.has(Field::Measured) && !fields.has(Field::Covariance)

@@ -43,6 +43,7 @@ mod source;
 mod spike;
 mod status;
 mod supervised;
+mod timecode;
 mod units;
 mod wearer;
 
@@ -73,6 +74,7 @@ use source::Source;
 pub use status::{BodyStatus, ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
 use supervised::Recoveries;
 pub use supervised::SupervisedPipeline;
+use timecode::Timecode;
 use units::Units;
 use wearer::Wearer;
 
@@ -159,6 +161,8 @@ pub struct Pipeline {
     faults: Option<Box<FaultMapStage>>,
     #[state(keep)]
     models: LoadedModels,
+    /// Absent where the stage reads none.
+    timecode: Option<Timecode>,
 }
 
 impl Pipeline {
@@ -232,6 +236,7 @@ impl Pipeline {
             naming: Vec::new(),
             faults: None,
             models: LoadedModels::default(),
+            timecode: stage.timecode.as_ref().map(Timecode::new),
         })
     }
 
@@ -263,6 +268,15 @@ impl Pipeline {
             Input::Request(request) => self.request(request, emit),
             Input::SegmentationNetwork(bytes) => self.name_with(bytes, emit),
             Input::Truth(truth) => emit(Output::Truth(truth)),
+            Input::Timecode(reading) => {
+                if let Some(timecode) = &mut self.timecode {
+                    timecode.read(entry.t, reading);
+                }
+            }
+        }
+        // Before the frames that it dates.
+        if let Some(timecode) = &mut self.timecode {
+            timecode.tell(now, emit);
         }
         self.close_frames(emit);
         while let Some(sensor) = self.bodies.iter_mut().find_map(Wearer::take_tapped) {
@@ -274,7 +288,8 @@ impl Pipeline {
     /// Ask again after every entry.
     pub fn poll_timeout(&self) -> Option<Timestamp> {
         let sessions = self.devices.iter().filter_map(|device| device.session.get().poll_timeout());
-        sessions.chain(self.frames.poll_timeout(self.now)).min()
+        let timecode = self.timecode.as_ref().and_then(Timecode::poll_timeout);
+        sessions.chain(self.frames.poll_timeout(self.now)).chain(timecode).min()
     }
 
     /// All that has changed since the pipeline was made and the models swapped in, as bytes for [`Self::restore`]: see

@@ -8,13 +8,14 @@ use serde::{Deserialize, Serialize};
 use super::body::FigureBody;
 use super::message::{
     ExerciseEvent, Fault, FaultChange, FieldChange, FieldEvent, Jobs, KeyPose, Mark, ScrewMotion,
-    SegmentBody, Sessions, Status,
+    SegmentBody, Sessions, Status, Timecode,
 };
 use super::sensors::{SensorsBody, TruthBody};
 use super::{Names, Stamp, Topic, View, exercise, round};
 use posed_motion::keyframes::Screw;
 use posed_stage::input::{Model, Truth};
-use posed_stage::output::{Body, Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output, ScrewSegment};
+use posed_stage::output::{self, Body, Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output, ScrewSegment};
+use posed_timecode::Label;
 
 /// How messages are written; chosen by the websocket sub-protocol.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -43,6 +44,8 @@ pub enum Payload<'a> {
     Jobs(&'a Jobs),
     /// To `session`; its `t_s` is when it was true, and is rounded on the way.
     Sessions(&'a Sessions),
+    /// To `timecode`; from then on all messages have the code of their time.
+    Timecode(&'a output::Timecode),
 }
 
 impl<'a> Payload<'a> {
@@ -53,6 +56,7 @@ impl<'a> Payload<'a> {
             Output::Body(body) => Some(Self::Body(body)),
             Output::Outcome(outcome) => Some(Self::Outcome(outcome)),
             Output::Truth(truth) => Some(Self::Truth(truth)),
+            Output::Timecode(timecode) => Some(Self::Timecode(timecode)),
             Output::Transmit { .. }
             | Output::SetRts { .. }
             | Output::Named
@@ -71,6 +75,7 @@ impl<'a> Payload<'a> {
             Self::Status(_) => Topic::Status,
             Self::Jobs(_) => Topic::Jobs,
             Self::Sessions(_) => Topic::Session,
+            Self::Timecode(_) => Topic::Timecode,
             Self::Outcome(outcome) => match outcome.what {
                 OutcomeKind::Fault { .. } => Topic::Faults,
                 OutcomeKind::ModelSwapped(Model::Exercise { .. }) | OutcomeKind::Exercise(_) => {
@@ -91,6 +96,7 @@ impl<'a> Payload<'a> {
 /// of the view that the frame lacks is `missing`. An event whose stamp has no number gets 0.
 pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, out: &mut Vec<u8>) {
     let encoding = view.encoding;
+    let from = out.len();
     match *payload {
         Payload::Estimate(estimate) => write(encoding, &SensorsBody { stamp, estimate, names, view }, out),
         Payload::Body(body) => write(encoding, &FigureBody { stamp, body, names }, out),
@@ -98,6 +104,7 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
         Payload::Status(status) => write(encoding, &rounded_status(status, stamp), out),
         Payload::Jobs(jobs) => write(encoding, &rounded_jobs(jobs, stamp), out),
         Payload::Sessions(sessions) => write(encoding, &rounded_sessions(sessions, stamp), out),
+        Payload::Timecode(timecode) => write(encoding, &timecode_body(timecode, stamp), out),
         Payload::Outcome(outcome) => {
             let t_s = stamp.t_s();
             let event_id = stamp.event_id.unwrap_or(0);
@@ -165,6 +172,34 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
             }
         }
     }
+    if let Some(label) = stamp.timecode {
+        append_timecode(encoding, label, from, out);
+    }
+}
+
+/// Adds one more key to the map that was written to `out` at `from`.
+fn append_timecode(encoding: Encoding, label: Label, from: usize, out: &mut Vec<u8>) {
+    const KEY: &str = "timecode";
+    let text = label.text();
+    match encoding {
+        Encoding::Json if out.last() == Some(&b'}') => {
+            out.pop();
+            for part in [&b",\""[..], KEY.as_bytes(), b"\":\"", &text, b"\"}"] {
+                out.extend_from_slice(part);
+            }
+        }
+        Encoding::MessagePack if out.get(from).is_some_and(|map| (0x80..=0x8f).contains(map)) => {
+            // Fifteen keys are the most that one byte counts.
+            match out[from] {
+                0x8f => _ = out.splice(from..=from, [0xde, 0, 16]),
+                small => out[from] = small + 1,
+            }
+            push_text(KEY, out);
+            out.push(0xa0 | text.len() as u8);
+            out.extend_from_slice(&text);
+        }
+        _ => debug_assert!(false, "a body is a small map"),
+    }
 }
 
 /// What differs from client to client in front of a shared body.
@@ -184,7 +219,7 @@ pub struct Head<'a> {
 /// body makes no message.
 ///
 /// # Panics
-/// In debug builds, where a MessagePack body is no map of fifteen keys or fewer.
+/// In debug builds, where a MessagePack body is no map of a few keys.
 pub fn message(encoding: Encoding, head: Head<'_>, body: &[u8], out: &mut Vec<u8>) {
     use std::io::Write;
     let Head { stage, topic, seq, dropped } = head;
@@ -201,11 +236,18 @@ pub fn message(encoding: Encoding, head: Head<'_>, body: &[u8], out: &mut Vec<u8
             out.extend_from_slice(rest);
         }
         Encoding::MessagePack => {
-            // Bodies have at most 15 keys, so the count of keys is the low half of the first byte; three or four more need two bytes.
-            debug_assert!((0x80..=0x8f).contains(&opening), "a body is a small map");
-            match opening + 3 + u8::from(stage.is_some()) {
-                small @ ..=0x8f => out.push(small),
-                large => out.extend_from_slice(&[0xde, 0, large - 0x80]),
+            // Up to 15 keys are counted in the low half of the first byte, more in two bytes behind it.
+            let (keys, rest) = match rest {
+                [high, low, rest @ ..] if opening == 0xde => (u16::from_be_bytes([*high, *low]), rest),
+                rest => (u16::from(opening & 0xf), rest),
+            };
+            debug_assert!(matches!(opening, 0x80..=0x8f | 0xde), "a body is a small map");
+            match keys + 3 + u16::from(stage.is_some()) {
+                small @ ..=15 => out.push(0x80 | small as u8),
+                large => {
+                    out.push(0xde);
+                    out.extend_from_slice(&large.to_be_bytes());
+                }
             }
             push_text("type", out);
             push_text(topic.name(), out);
@@ -283,10 +325,27 @@ fn rounded_status(status: &Status, stamp: &Stamp) -> Status {
             *value = round::to(1e3, *value);
         }
     }
+    if let Some(clock) = &mut status.host_clock {
+        for value in [&mut clock.max_error_s, &mut clock.estimated_error_s] {
+            *value = round::to(1e6, *value);
+        }
+    }
     if let Some(recording) = &mut status.recording {
         recording.started_s = round::to(1e6, recording.started_s);
     }
     status
+}
+
+fn timecode_body(told: &output::Timecode, stamp: &Stamp) -> Timecode {
+    let output::Timecode { t, relation, jumps } = told;
+    Timecode {
+        t_s: stamp.t_s(),
+        state: relation.state(*t),
+        rate: relation.rate(),
+        sigma_s: round::to(round::CLOCK, relation.sigma_s(*t)),
+        drift_ppm: relation.drift_ppm().map(|ppm| round::to(1e1, ppm)),
+        jumps: *jumps,
+    }
 }
 
 fn rounded_sessions(sessions: &Sessions, stamp: &Stamp) -> Sessions {

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Encoding, Fields, Names, Payload, Topic, View, encode, round};
 use posed_stage::{BodyIndex, MOST_BODIES, Stage};
+use posed_timecode::{Label, Relation};
 
 /// When and as which event a payload is published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -21,6 +22,9 @@ pub struct Stamp {
     pub t_us: i64,
     /// Stage-wide number of an event, from 1; `None` for states.
     pub event_id: Option<u64>,
+    /// Time code at that time, where it is known.
+    #[serde(default)]
+    pub timecode: Option<Label>,
 }
 
 /// Streams of messages, each with times that rise: the topics, and one more for every body after the first.
@@ -54,12 +58,15 @@ impl Stamp {
     }
 }
 
-/// Numbers given out so far: of events, and the newest time of each stream. The default has given out none.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+/// Numbers given out so far: of events, and the newest time of each stream; and where time code lies. The default has given out none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Counters {
     events: u64,
     #[serde(with = "by_index")]
     last_t_us: [Option<i64>; STREAMS],
+    /// Earlier versions know none.
+    #[serde(default)]
+    timecode: Option<Relation>,
 }
 
 impl Counters {
@@ -76,9 +83,13 @@ impl Counters {
             Payload::Status(status) => microseconds(Timestamp::from_secs_f64(status.t_s)),
             Payload::Jobs(jobs) => microseconds(Timestamp::from_secs_f64(jobs.t_s)),
             Payload::Sessions(sessions) => microseconds(Timestamp::from_secs_f64(sessions.t_s)),
+            Payload::Timecode(timecode) => microseconds(timecode.t),
         };
+        if let Payload::Timecode(timecode) = payload {
+            self.timecode = Some(timecode.relation);
+        }
         let body = if let Payload::Body(body) = payload { body.index } else { 0 };
-        let mut stamp = Stamp { topic, body, t_us, event_id: None };
+        let mut stamp = Stamp { topic, body, t_us, event_id: None, timecode: None };
         let last = &mut self.last_t_us[stamp.stream()];
         stamp.t_us = last.map_or(t_us, |last| t_us.max(last + 1));
         *last = Some(stamp.t_us);
@@ -86,6 +97,7 @@ impl Counters {
             self.events += 1;
             self.events
         });
+        stamp.timecode = self.timecode.and_then(|relation| relation.label(stamp.t()));
         stamp
     }
 
@@ -100,6 +112,8 @@ impl Counters {
     /// Lets the times of all topics start anew; event numbers go on.
     pub fn rewind(&mut self) {
         self.last_t_us = [None; STREAMS];
+        // What comes may be another recording.
+        self.timecode = None;
     }
 
     /// Number of the newest event, 0 before the first.
@@ -149,7 +163,7 @@ pub struct Publisher {
 }
 
 /// State of a [`Publisher`] between two outputs.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PublisherState {
     counters: Counters,
     #[serde(with = "by_index")]
@@ -382,6 +396,12 @@ mod tests {
             Payload::Outcome(&key),
             Payload::Status(&status),
             Payload::Jobs(&jobs),
+            // From here on each has the code of its time.
+            Payload::Timecode(&timecode(0)),
+            Payload::Estimate(&estimate),
+            Payload::Body(&body),
+            Payload::Status(&status),
+            Payload::Jobs(&jobs),
         ]
         .into_iter()
         .chain(exercise)
@@ -405,6 +425,48 @@ mod tests {
             assert_eq!(serde_json::to_value(&json).unwrap()["type"], stamp.topic.name());
             assert_eq!(serde_json::to_value(&json).unwrap()["seq"], 70_000);
         }
+    }
+
+    /// Ten o'clock at that time, 25 frames a second.
+    fn timecode(t_ns: i64) -> posed_stage::output::Timecode {
+        let relation = Relation {
+            at: Timestamp::from_nanos(t_ns),
+            number: 900_000.0,
+            frames_per_s: 25.0,
+            pace_sigma: 1e-6,
+            counting: posed_timecode::Counting { frames_per_s: 25, drop: false },
+            pictures: 1,
+            sigma_s: 1e-4,
+        };
+        posed_stage::output::Timecode { t: Timestamp::from_nanos(t_ns), relation, jumps: 0 }
+    }
+
+    #[test]
+    fn every_message_has_the_code_of_its_time_once_there_is_one_and_none_after_a_rewind() {
+        let (code, second) = (timecode(0), estimate(1_020_000_000));
+        let mut publisher = Publisher::new(&stage(), Fields::default());
+        assert!(!text(&mut publisher, &Payload::Estimate(&estimate(0))).contains("timecode"));
+        let told = text(&mut publisher, &Payload::Timecode(&code));
+        assert!(
+            told.contains(r#""state":"locked","rate":"25""#) && told.contains("10:00:00:00.00"),
+            "{told}"
+        );
+        assert!(
+            text(&mut publisher, &Payload::Estimate(&second)).ends_with(r#","timecode":"10:00:01:00.50"}"#)
+        );
+        // A recording that begins here goes on with it.
+        let stored = rmp_serde::to_vec(&publisher.state()).unwrap();
+        let mut again = Publisher::new(&stage(), Fields::default());
+        again.restore(rmp_serde::from_slice(&stored).unwrap());
+        let third = estimate(2_000_000_000);
+        let expected = text(&mut publisher, &Payload::Estimate(&third));
+        assert_eq!(text(&mut again, &Payload::Estimate(&third)), expected);
+        // After a year on the host's clock alone it is not known.
+        let year = estimate(31_536_000_000_000_000);
+        assert!(!text(&mut publisher, &Payload::Estimate(&year)).contains("timecode"));
+        let mut counters = again.state().counters;
+        counters.rewind();
+        assert_eq!(counters.stamp(&Payload::Estimate(&third)).timecode, None);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 
 use super::message::{
     Answers, Data, ExerciseEvent, Fault, FieldEvent, Figure, Found, Jobs, KeyPose, Mark, SegmentBody,
-    Sensors, Sessions, Status, Truths,
+    Sensors, Sessions, Status, Timecode, Truths,
 };
 use super::plain::plain;
 use super::{Call, Feed, RequestId, ServerMessage, Topic, typescript};
@@ -64,6 +64,7 @@ pub fn of_topic(topic: Topic) -> String {
         Topic::Body => generator.root_schema_for::<Data<Figure>>(),
         Topic::Marks => generator.root_schema_for::<Data<Mark>>(),
         Topic::Segments => generator.root_schema_for::<Data<SegmentBody>>(),
+        Topic::Timecode => generator.root_schema_for::<Data<Timecode>>(),
     };
     let mut schema = plain(&schema.to_value());
     schema["properties"]["type"] = json!({ "type": "string" });

@@ -32,11 +32,13 @@ pub enum Topic {
     Session,
     /// Moments that somebody noted; events.
     Marks,
+    /// Where time code lies.
+    Timecode,
 }
 
 impl Topic {
     /// Number of topics.
-    pub const COUNT: usize = 12;
+    pub const COUNT: usize = 13;
     /// All topics, in the order of their indices.
     pub const ALL: [Self; Self::COUNT] = [
         Self::Status,
@@ -51,6 +53,7 @@ impl Topic {
         Self::Truth,
         Self::Session,
         Self::Marks,
+        Self::Timecode,
     ];
 
     /// Name on the wire.
@@ -68,6 +71,7 @@ impl Topic {
             Self::Truth => "truth",
             Self::Session => "session",
             Self::Marks => "marks",
+            Self::Timecode => "timecode",
         }
     }
 

@@ -9,6 +9,7 @@ use serde::Serialize;
 use super::digest::read_digest;
 use super::ending::{Ending, ReadError};
 use super::reader::{Item, Reader};
+use super::timecode::{TimecodeInfo, TimecodeTrack};
 use posed_protocol::DigestCounts;
 use posed_stage::RecordingContent;
 use posed_stage::input::Input;
@@ -46,6 +47,8 @@ pub struct Info {
     pub topics: BTreeMap<String, u64>,
     /// How much happens in it, by its digest; null where it has none.
     pub digest: Option<DigestCounts>,
+    /// Its time code; null where none was read.
+    pub timecode: Option<TimecodeInfo>,
 }
 
 /// A device in a recording.
@@ -71,6 +74,7 @@ impl Info {
         let mut devices: Vec<_> = header.devices.iter().map(device).collect();
         let mut topics = BTreeMap::<String, u64>::new();
         let mut last = header.begun;
+        let mut timecode = TimecodeTrack::new(&header);
         let mut problem = None;
         while let Some(item) = reader.next() {
             progress(reader.bytes_read());
@@ -83,6 +87,9 @@ impl Info {
                 }
             };
             last = last.max(time(&item));
+            if let Item::Entry(entry) = &item {
+                timecode.entry(entry);
+            }
             if let Item::Entry(entry) = &item
                 && let Input::Bytes { device, bytes } = &entry.input
             {
@@ -115,6 +122,7 @@ impl Info {
             devices,
             topics,
             digest: read_digest(path)?.map(|digest| digest.counts),
+            timecode: timecode.info(last),
         })
     }
 }
@@ -141,6 +149,7 @@ fn topic(item: &Item, devices: &[String]) -> String {
             Input::Request(_) => "/input/request".to_owned(),
             Input::SegmentationNetwork(_) => "/input/segmentation_network".to_owned(),
             Input::Truth(_) => "/input/truth".to_owned(),
+            Input::Timecode(_) => "/input/timecode".to_owned(),
         },
     }
 }

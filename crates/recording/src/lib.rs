@@ -68,6 +68,7 @@ mod summary;
 pub mod table;
 mod take;
 mod thinned;
+mod timecode;
 mod writer;
 
 mod ending;
@@ -96,6 +97,7 @@ pub use replay::{Mapping, Replayable, Verdict, VerifyError, verify};
 pub use scribe::Scribe;
 pub use take::Take;
 pub use thinned::Thinned;
+pub use timecode::{TimecodeInfo, TimecodeTrack};
 pub use writer::{WriteError, Writer};
 
 /// Largest chunk that is written, and largest record that a reader believes without having seen a file of that size, bytes.

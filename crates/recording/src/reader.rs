@@ -85,6 +85,7 @@ enum LogKind {
     Request,
     SegmentationNetwork,
     Truth,
+    Timecode,
     Transmitted(DeviceIndex),
 }
 
@@ -306,6 +307,7 @@ fn log_kind(name: &str, device: impl FnOnce() -> Option<DeviceIndex>) -> Option<
         "request" => LogKind::Request,
         "segmentation_network" => LogKind::SegmentationNetwork,
         "truth" => LogKind::Truth,
+        "timecode" => LogKind::Timecode,
         _ => return None,
     })
 }
@@ -321,6 +323,7 @@ fn item(kind: LogKind, t: Timestamp, data: &[u8]) -> Result<Item, ReadError> {
         LogKind::Request => Input::Request(unpack(data, "request")?),
         LogKind::SegmentationNetwork => Input::SegmentationNetwork(data.to_vec()),
         LogKind::Truth => Input::Truth(unpack(data, "truth")?),
+        LogKind::Timecode => Input::Timecode(unpack(data, "frame of time code")?),
     };
     Ok(Item::Entry(Entry { t, input }))
 }

@@ -57,7 +57,11 @@ impl Mapping {
                 of.sensor = mapped.unwrap_or(of.sensor);
                 mapped.is_some()
             }),
-            Input::Timer | Input::Model(_) | Input::Request(_) | Input::SegmentationNetwork(_) => {}
+            Input::Timer
+            | Input::Model(_)
+            | Input::Request(_)
+            | Input::SegmentationNetwork(_)
+            | Input::Timecode(_) => {}
         }
         Some(entry)
     }

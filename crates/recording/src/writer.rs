@@ -126,7 +126,8 @@ pub(super) const KIND: &str = "kind";
 /// The device a channel belongs to, as its metadata says it.
 pub(super) const DEVICE: &str = "device";
 /// Kinds of what the stage as a whole takes in, by their places in a bundle. New ones come last.
-pub(super) const STAGE_KINDS: [&str; 5] = ["timer", "model", "request", "segmentation_network", "truth"];
+pub(super) const STAGE_KINDS: [&str; 6] =
+    ["timer", "model", "request", "segmentation_network", "truth", "timecode"];
 /// Kinds of what each device has, in the order of their places.
 pub(super) const DEVICE_KINDS: [&str; 3] = ["bytes", "line", "transmitted"];
 /// First place of the first device; the others follow.
@@ -240,6 +241,10 @@ impl<W: Write> Writer<W> {
             Input::Truth(truth) => {
                 pack(rmp_serde::encode::write_named(&mut scratch, truth))?;
                 (Destination::Stage("/input/truth", "truth"), &scratch)
+            }
+            Input::Timecode(reading) => {
+                pack(rmp_serde::encode::write_named(&mut scratch, reading))?;
+                (Destination::Stage("/input/timecode", "timecode"), &scratch)
             }
         };
         let sequence = self.entries;

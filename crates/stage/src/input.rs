@@ -14,6 +14,7 @@ use posed_fusion::chain::ChainCalibration;
 use posed_fusion::intrinsics::Intrinsics;
 use posed_motion::exercise::Exercise;
 use posed_motion::fault_map::FaultMap;
+use posed_timecode::Reading;
 
 /// Index of a device in the stage file's `[[device]]` list ([`crate::Stage::devices`]), from 0.
 pub type DeviceIndex = u16;
@@ -69,6 +70,8 @@ pub enum Input {
     SegmentationNetwork(#[serde(with = "posed_geometry::bytes")] Vec<u8>),
     /// Ground truth from a simulator, passed through to the `truth` topic.
     Truth(Truth),
+    /// A frame of time code; `Entry::t` is when the read that brought it was over.
+    Timecode(Reading),
 }
 
 /// A model that can be swapped in between two frames.

@@ -29,6 +29,7 @@ mod shape;
 pub mod signals;
 #[cfg(test)]
 mod tests;
+mod timecode;
 mod zenoh;
 
 use std::path::{Path, PathBuf};
@@ -52,6 +53,7 @@ pub use models::LoadedModels;
 pub use port::{PortAddress, PortAddressError};
 pub use problem::{LoadError, Problem, Problems};
 pub use secrets::{Secret, readable_by_others, without_secrets};
+pub use timecode::{Timecode, TimecodeSignal};
 pub use zenoh::{Zenoh, ZenohTls};
 
 /// A stage file.
@@ -102,6 +104,8 @@ pub struct Stage {
     pub zenoh: Option<Zenoh>,
     /// Programs of ROS 2 that use rmw_zenoh; absent: they get nothing.
     pub ros2: Option<Ros2>,
+    /// Time code of cameras and sound recorders; absent: none is read.
+    pub timecode: Option<Timecode>,
     /// Models that are loaded at the start.
     #[serde(default)]
     pub models: Models,
@@ -131,7 +135,7 @@ impl Stage {
     /// Reads a stage from its file, and looks at the files that it names.
     ///
     /// Relative paths begin at the file's folder and are joined with it in the result: those of `server.tls`, `models`,
-    /// `segments`, `zenoh.users`, `zenoh.tls` and `recording`. Files of secrets (`secret_file`, `password_file`, `server.tls.key`,
+    /// `segments`, `timecode.path`, `zenoh.users`, `zenoh.tls` and `recording`. Files of secrets (`secret_file`, `password_file`, `server.tls.key`,
     /// `zenoh.users`, `zenoh.tls.key`) are looked for in the folder that the environment names as `CREDENTIALS_DIRECTORY` first; what the first
     /// two hold is read. `lsl.library` and what is in `simulation` stay as they are written. Warnings are left out: [`check_in`]
     /// gives them.
@@ -177,6 +181,9 @@ impl Stage {
             tls.authority = folder.join(&tls.authority);
             tls.certificate = folder.join(&tls.certificate);
             tls.key = secrets::secret_path(folder, &tls.key);
+        }
+        if let Some(path) = stage.timecode.as_mut().and_then(|timecode| timecode.path.as_mut()) {
+            *path = folder.join(&*path);
         }
         let Self { models, recording, .. } = &mut stage;
         let Models { faults_folder, exercise_folder, imu_folder, segments_folder, .. } = models;

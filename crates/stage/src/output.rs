@@ -17,6 +17,7 @@ use posed_field::{PoleRun, Progress, Warning};
 use posed_fusion::ahrs::ImuSample;
 use posed_fusion::faults::{Cause, Class, Finding, ImuWords, Label, Repair, Verdict};
 use posed_motion::keyframes::Screw;
+use posed_timecode::Relation;
 
 /// One output of `Pipeline::push`; borrowed, valid during the call. The order of outputs is part of the answer: the same entries
 /// give the same outputs in the same order.
@@ -62,6 +63,19 @@ pub enum Output<'a> {
     Named,
     /// Ground truth of a simulator, passed through as it came in.
     Truth(&'a Truth),
+    /// Where time code lies, as of now: with each frame of it that was read, and once a second while none is.
+    Timecode(&'a Timecode),
+}
+
+/// Where time code lies on the host's clock.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Plain)]
+pub struct Timecode {
+    /// When this is so.
+    pub t: Timestamp,
+    /// The code at any moment.
+    pub relation: Relation,
+    /// How often the code has gone on somewhere else.
+    pub jumps: u64,
 }
 
 /// Poses of all sensors at one tick of the stage clock. Causal: of what arrived until the frame closed, each sensor predicted to

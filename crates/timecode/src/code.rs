@@ -116,6 +116,7 @@ impl fmt::Display for Label {
 
 /// A rate of pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Plain)]
+#[schemars(rename = "PictureRate")]
 pub enum Rate {
     /// 24000/1001 a second.
     #[serde(rename = "23.976")]

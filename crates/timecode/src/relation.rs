@@ -15,6 +15,7 @@ const TELLS_PACE: f64 = 2.5e-4;
 /// How the time code of a moment is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Plain)]
 #[serde(rename_all = "snake_case")]
+#[schemars(rename = "TimecodeState")]
 pub enum State {
     /// It is read.
     Locked,
@@ -48,6 +49,14 @@ impl Relation {
     /// Number of the frame at a moment, with the part of it that has passed; of no day in particular.
     pub fn number_at(&self, t: Timestamp) -> f64 {
         self.number + t.seconds_since(self.at) * self.frames_per_s
+    }
+
+    /// When the code is at that number, on the day next to `at`; the number may have a part of a frame.
+    pub fn time_of(&self, number: f64) -> Timestamp {
+        let day = f64::from(self.counting.day());
+        let off = number - self.number;
+        let since_s = (off - day * (off / day).round()) / self.frames_per_s;
+        Timestamp::from_nanos(self.at.as_nanos().saturating_add((since_s * 1e9).round() as i64))
     }
 
     /// When a frame began, s after `at`.

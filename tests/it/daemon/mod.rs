@@ -20,3 +20,4 @@ mod service;
 mod sessions;
 pub(crate) mod setup;
 mod takes;
+mod timecode;

@@ -28,6 +28,7 @@ export const de: Text = {
     notRecording: "keine Aufnahme", unnamed: "Stage und Zeit",
     labelReplay: "Wiedergabe", isReplay: (name) => `Wiedergabe von ${name}`, toStage: "Zurück zur laufenden Stage",
     since: (name, mb) => `${name}, ${mb} MB`,
+    timecode: { locked: "Timecode", holding: "Timecode wird fortgeführt", none: "Timecode ist verloren" },
     free: (gb) => `${gb} GB frei`, left: (h) => `reicht für ${h} h`,
     mark: "Marke", markLabel: "Beschriftung der Marke", markPlaceholder: "was hier geschieht", marked: (n, label) => (label === "" ? `Marke ${n}` : `Marke ${n}: ${label}`),
     snapshot: "Foto", noPicture: "Erst „Ansehen“ öffnen: Es gibt noch kein Bild.",

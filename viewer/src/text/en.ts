@@ -36,6 +36,7 @@ export const en = {
     notRecording: "not recording", unnamed: "stage and time",
     labelReplay: "Replay", isReplay: (name: string) => `Replay of ${name}`, toStage: "Back to the live stage",
     since: (name: string, mb: string) => `${name}, ${mb} MB`,
+    timecode: { locked: "time code", holding: "time code is carried on", none: "time code is lost" },
     free: (gb: string) => `${gb} GB free`, left: (h: string) => `enough for ${h} h`,
     mark: "Mark", markLabel: "Label of the mark", markPlaceholder: "what happens here", marked: (n: number, label: string) => label === "" ? `mark ${n}` : `mark ${n}: ${label}`,
     snapshot: "Snapshot", noPicture: "Open Watch first: there is no picture yet.",

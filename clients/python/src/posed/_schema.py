@@ -1315,6 +1315,11 @@ class ExerciseEventMessageLoaded(TypedDict):
     t_valid_s: float
     """Capture time it speaks of, s: of a repetition its end."""
 
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
+
     type: Literal["exercise"]
     """Which message it is."""
 
@@ -1344,6 +1349,11 @@ class ExerciseEventMessageState(TypedDict):
 
     t_valid_s: float
     """Capture time it speaks of, s: of a repetition its end."""
+
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
 
     type: Literal["exercise"]
     """Which message it is."""
@@ -1384,6 +1394,11 @@ class ExerciseEventMessageStarted(TypedDict):
     t_valid_s: float
     """Capture time it speaks of, s: of a repetition its end."""
 
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
+
     type: Literal["exercise"]
     """Which message it is."""
 
@@ -1423,6 +1438,11 @@ class ExerciseEventMessageProvisional(TypedDict):
     t_valid_s: float
     """Capture time it speaks of, s: of a repetition its end."""
 
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
+
     type: Literal["exercise"]
     """Which message it is."""
 
@@ -1461,6 +1481,11 @@ class ExerciseEventMessageWithdrawn(TypedDict):
 
     t_valid_s: float
     """Capture time it speaks of, s: of a repetition its end."""
+
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
 
     type: Literal["exercise"]
     """Which message it is."""
@@ -1521,6 +1546,11 @@ class ExerciseEventMessageCounted(TypedDict):
     t_valid_s: float
     """Capture time it speaks of, s: of a repetition its end."""
 
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
+
     type: Literal["exercise"]
     """Which message it is."""
 
@@ -1580,6 +1610,11 @@ class ExerciseEventMessageRejected(TypedDict):
     t_valid_s: float
     """Capture time it speaks of, s: of a repetition its end."""
 
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
+
     type: Literal["exercise"]
     """Which message it is."""
 
@@ -1621,6 +1656,11 @@ class ExerciseEventMessageHint(TypedDict):
 
     t_valid_s: float
     """Capture time it speaks of, s: of a repetition its end."""
+
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
 
     type: Literal["exercise"]
     """Which message it is."""
@@ -1719,6 +1759,11 @@ class FaultMessageFault(TypedDict):
     t_valid_s: float
     """Capture time it speaks of, s."""
 
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
+
     type: Literal["faults"]
     """Which message it is."""
 
@@ -1757,6 +1802,11 @@ class FaultMessageMap(TypedDict):
 
     t_valid_s: float
     """Capture time it speaks of, s."""
+
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
 
     type: Literal["faults"]
     """Which message it is."""
@@ -1939,6 +1989,11 @@ class FieldEventMessageModelSwapped(TypedDict):
     t_valid_s: float
     """Capture time it speaks of, s."""
 
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
+
     type: Literal["field"]
     """Which message it is."""
 
@@ -1981,6 +2036,11 @@ class FieldEventMessageMapSwapped(TypedDict):
     t_valid_s: float
     """Capture time it speaks of, s."""
 
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
+
     type: Literal["field"]
     """Which message it is."""
 
@@ -2022,6 +2082,11 @@ class FieldEventMessageDisturbed(TypedDict):
     t_valid_s: float
     """Capture time it speaks of, s."""
 
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
+
     type: Literal["field"]
     """Which message it is."""
 
@@ -2052,6 +2117,11 @@ class FieldEventMessageDrifted(TypedDict):
     t_valid_s: float
     """Capture time it speaks of, s."""
 
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
+
     type: Literal["field"]
     """Which message it is."""
 
@@ -2078,6 +2148,11 @@ class FieldEventMessageCalibrating(TypedDict):
 
     t_valid_s: float
     """Capture time it speaks of, s."""
+
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
 
     type: Literal["field"]
     """Which message it is."""
@@ -2129,6 +2204,11 @@ class FigureMessage(TypedDict):
 
     t_s: float
     """Capture time of the newest sample in it, s; rises strictly from one message of this body to the next."""
+
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
 
     type: Literal["body"]
     """Which message it is."""
@@ -2364,6 +2444,24 @@ class HelloSensor(TypedDict):
     """Its name."""
 
 
+class HostClock(TypedDict):
+    """The wall clock of the computer that the stage runs on. The stage's own times do not follow it: they count from
+    `hello.epoch_utc`.
+    """
+
+    estimated_error_s: float
+    """How far off it is taken to be, s."""
+
+    max_error_s: float
+    """How far off it may be at most, s; 16 s and more where nothing follows."""
+
+    synchronised: bool
+    """Whether it follows another clock, by NTP or PTP."""
+
+    tai_offset_s: int | None
+    """TAI minus UTC, s, which PTP works with; null where nobody has set it."""
+
+
 class Intrinsics(TypedDict):
     """What was found for one unit."""
 
@@ -2463,6 +2561,11 @@ class JobsMessage(TypedDict):
 
     t_s: float
     """Host time, s; rises strictly."""
+
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
 
     type: Literal["jobs"]
     """Which message it is."""
@@ -2588,6 +2691,11 @@ class KeyPoseMessage(TypedDict):
 
     t_valid_s: float
     """Capture time of the key pose, s: the same in all events about one key pose."""
+
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
 
     type: Literal["keyframes"]
     """Which message it is."""
@@ -2752,6 +2860,11 @@ class MarkMessage(TypedDict):
 
     t_valid_s: float
     """Capture time of the frame before it, s."""
+
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
 
     type: Literal["marks"]
     """Which message it is."""
@@ -2936,6 +3049,11 @@ class MotionSegmentMessage(TypedDict):
     one's.
     """
 
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
+
     type: Literal["segments"]
     """Which message it is."""
 
@@ -3057,6 +3175,10 @@ class PicturePath(TypedDict):
 
     position_m: list[list[float]]
     """Places in order of time, room, m."""
+
+
+PictureRate: TypeAlias = 'Literal["23.976", "24", "25", "29.97", "29.97df", "30", "47.952", "48", "50", "59.94", "59.94df", "60"]'
+"""A rate of pictures."""
 
 
 class Plan(TypedDict):
@@ -3625,11 +3747,16 @@ class SensorsMessage(TypedDict):
     t_s: float
     """Capture time that the poses belong to, s; rises strictly."""
 
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
+
     type: Literal["sensors"]
     """Which message it is."""
 
 
-ServerMessage: TypeAlias = "Hello | OkReply | ErrorReply | StatusMessage | SensorsMessage | FigureMessage | TruthsMessage | JobsMessage | SessionsMessage | FaultMessage | KeyPoseMessage | FieldEventMessage | ExerciseEventMessage | MotionSegmentMessage | MarkMessage | Stages"
+ServerMessage: TypeAlias = "Hello | OkReply | ErrorReply | StatusMessage | SensorsMessage | FigureMessage | TruthsMessage | JobsMessage | SessionsMessage | FaultMessage | KeyPoseMessage | FieldEventMessage | ExerciseEventMessage | MotionSegmentMessage | MarkMessage | TimecodeMessage | Stages"
 """Everything a client can receive."""
 
 
@@ -3691,6 +3818,11 @@ class SessionsMessage(TypedDict):
 
     t_s: float
     """Host time, s; rises strictly."""
+
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
 
     type: Literal["session"]
     """Which message it is."""
@@ -4053,6 +4185,9 @@ class StatusMessage(TypedDict):
     free_bytes: int | None
     """What the disk of the recordings still takes, bytes; null where nobody knows, and in a replay."""
 
+    host_clock: HostClock | None
+    """Whether this computer's clock follows another, as its kernel tells; null where it does not, and in a replay."""
+
     latency: list[StageLatency]
     """How long each stage of the flow took since the last status."""
 
@@ -4073,6 +4208,11 @@ class StatusMessage(TypedDict):
 
     t_s: float
     """Host time, s; rises strictly."""
+
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
 
     type: Literal["status"]
     """Which message it is."""
@@ -4108,7 +4248,47 @@ Thoroughness: TypeAlias = 'Literal["quick", "full", "movement", "assign"]'
 """How much is done."""
 
 
-Topic: TypeAlias = 'Literal["status", "sensors", "body", "faults", "keyframes", "segments", "exercise", "field", "jobs", "truth", "session", "marks"]'
+class TimecodeMessage(TypedDict):
+    """What every data message starts with, and its body."""
+
+    drift_ppm: float | None
+    """By how much the code is faster than its rate on the host's clock, ppm; null with `rate`."""
+
+    dropped: int
+    """Data messages of all topics that were dropped for this client so far."""
+
+    jumps: int
+    """How often the code has gone on somewhere else since the stage's beginning."""
+
+    rate: PictureRate | None
+    """Rate of the pictures; null while the pace does not tell yet, which takes a MIDI source some seconds."""
+
+    seq: int
+    """Counts this topic's messages to this client from 0; a gap is a message that was dropped."""
+
+    sigma_s: float
+    """Standard deviation of the code, s: it grows while the code is carried on."""
+
+    state: TimecodeState
+    """How the code is known."""
+
+    t_s: float
+    """When this is so, s; rises strictly."""
+
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
+
+    type: Literal["timecode"]
+    """Which message it is."""
+
+
+TimecodeState: TypeAlias = 'Literal["locked", "holding", "none"]'
+"""How the time code of a moment is known."""
+
+
+Topic: TypeAlias = 'Literal["status", "sensors", "body", "faults", "keyframes", "segments", "exercise", "field", "jobs", "truth", "session", "marks", "timecode"]'
 """A topic; its name is the `type` of its messages."""
 
 
@@ -4162,6 +4342,11 @@ class TruthsMessage(TypedDict):
 
     t_s: float
     """Capture time, exact, s; rises strictly."""
+
+    timecode: NotRequired[str | None]
+    """Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where
+    counting is drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    """
 
     type: Literal["truth"]
     """Which message it is."""

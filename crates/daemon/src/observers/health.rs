@@ -5,6 +5,8 @@ use posed_drivers::{State, Timestamp};
 use super::super::clock::StageClock;
 use super::super::free_space::FreeSpace;
 use super::super::fusion::Recording;
+use super::super::host_clock;
+use super::super::timecode::TimecodeProblem;
 use super::history::{History, Kept};
 use super::{Observer, Times};
 use posed_fusion::faults::Cause;
@@ -13,6 +15,7 @@ use posed_protocol::{DeviceStatus, Problem, RecordingStatus, SensorStatus, Stage
 use posed_stage::Stage;
 use posed_stage::input::DeviceIndex;
 use posed_stage::output::{Body, Estimate, Output};
+use posed_timecode::Rate as PictureRate;
 use std::time::Duration;
 
 /// Samples of each latency between two status messages; more than a second holds.
@@ -45,6 +48,10 @@ pub(crate) struct Health {
     recording_failure: Option<String>,
     /// What the disk of the recordings still takes; absent where nothing is recorded.
     disk: Option<FreeSpace>,
+    /// What is wrong with the source of time code; absent where the stage has none.
+    timecode: Option<TimecodeProblem>,
+    /// The rate of its pictures by the stage file, and as the code has it.
+    timecode_rate: (Option<PictureRate>, Option<PictureRate>),
     /// Entries that tracking has left out, and how often it has begun anew, by the last status.
     recovered: (u64, u64),
     /// The time since which this machine does not keep up, and by how much, ms.
@@ -114,6 +121,8 @@ impl Health {
             names: stage.bodies.iter().map(|body| body.name.clone()).collect(),
             recording_failure: None,
             disk: None,
+            timecode: None,
+            timecode_rate: (stage.timecode.as_ref().and_then(|timecode| timecode.rate), None),
             recovered: (0, 0),
             behind: None,
             history: History::new(stage),
@@ -208,6 +217,11 @@ impl Health {
         self.disk = Some(disk);
     }
 
+    /// The status tells from now on what is wrong with this source of time code.
+    pub(crate) fn watch_timecode(&mut self, timecode: Option<TimecodeProblem>) {
+        self.timecode = timecode;
+    }
+
     /// The status as of `now`; begins the next interval.
     pub(crate) fn status(
         &mut self,
@@ -283,6 +297,7 @@ impl Health {
             }),
             free_bytes: self.disk.as_ref().and_then(FreeSpace::bytes),
             replay: None,
+            host_clock: host_clock::ask(),
             problems: self.problems(clock, pipeline),
             // The server knows and fills it in.
             clients: 0,
@@ -345,6 +360,16 @@ impl Health {
             );
             problems.push(Problem::new("load", sentence).with("late_ms", late_ms));
         }
+        problems.extend(self.timecode.as_ref().and_then(TimecodeProblem::get));
+        if let (Some(told), Some(code)) = self.timecode_rate
+            && told != code
+        {
+            let sentence = format!(
+                "the time code is that of {code} pictures per second, and timecode.rate says {told}: set the generator or the \
+                 stage file right"
+            );
+            problems.push(Problem::new("timecode_rate", sentence).with("code", code).with("told", told));
+        }
         let (left_out, begun_anew) = self.recovered;
         if left_out > 0 {
             let anew = match begun_anew {
@@ -382,6 +407,7 @@ impl Observer for Health {
             Output::Warning { device, text } => self.warn(device, text),
             Output::Estimate(estimate) => self.estimate(times.now.seconds_since(times.read), estimate),
             Output::Body(body) => self.body(body),
+            Output::Timecode(timecode) => self.timecode_rate.1 = timecode.relation.rate(),
             Output::Named => self.named(times.now.seconds_since(times.published)),
             _ => {}
         }

@@ -8,7 +8,7 @@ use tokio::sync::Notify;
 
 use posed_protocol::{Jobs, Payload, Sessions, Status};
 use posed_stage::input::Truth;
-use posed_stage::output::{Body, Estimate, Outcome, Output};
+use posed_stage::output::{Body, Estimate, Outcome, Output, Timecode};
 
 /// Items that wait for the server; a healthy server has none or one.
 const CAPACITY: usize = 256;
@@ -34,6 +34,8 @@ pub enum Item {
     Jobs(Box<Jobs>),
     /// The sessions that go on.
     Sessions(Box<Sessions>),
+    /// Where time code lies.
+    Timecode(Timecode),
     /// Time goes back: a replay was asked to.
     Rewind,
 }
@@ -49,6 +51,7 @@ impl Item {
             Self::Status(status) => Payload::Status(status),
             Self::Jobs(jobs) => Payload::Jobs(jobs),
             Self::Sessions(sessions) => Payload::Sessions(sessions),
+            Self::Timecode(timecode) => Payload::Timecode(timecode),
             Self::Rewind => return None,
         })
     }
@@ -82,13 +85,14 @@ struct Queue {
 }
 
 impl Hub {
-    /// Publishes what clients receive of an output: estimates, the body, outcomes, truth; the others are nothing to them.
+    /// Publishes what clients receive of an output: estimates, the body, outcomes, truth, time code; the others are nothing to them.
     pub fn publish(&self, output: &Output<'_>) {
         match Payload::of(output) {
             Some(Payload::Estimate(estimate)) => self.publish_estimate(estimate),
             Some(Payload::Body(body)) => self.push(Item::Body(Box::new(body.clone()))),
             Some(Payload::Truth(truth)) => self.push(Item::Truth(Box::new(truth.clone()))),
             Some(Payload::Outcome(outcome)) => self.push(Item::Outcome(Box::new(outcome.clone()))),
+            Some(Payload::Timecode(timecode)) => self.push(Item::Timecode(*timecode)),
             Some(Payload::Status(_) | Payload::Jobs(_) | Payload::Sessions(_)) | None => {}
         }
     }

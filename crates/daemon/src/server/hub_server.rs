@@ -421,7 +421,7 @@ mod tests {
             shutdown: watch::channel(false).0,
         };
         let bring = |t_us| {
-            let stamp = Stamp { topic: Topic::Status, body: 0, t_us, event_id: None };
+            let stamp = Stamp { topic: Topic::Status, body: 0, t_us, event_id: None, timecode: None };
             end.publish(Item::Status(Box::default()), stamp)
         };
         for t_us in 0..WAITING as i64 {

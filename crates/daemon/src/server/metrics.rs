@@ -39,6 +39,8 @@ pub(super) struct Metrics {
     device_bytes_skipped: Family<Labels, Gauge>,
     sensor_lost: Family<Labels, Gauge>,
     problems: Gauge,
+    host_clock_synchronised: Gauge,
+    host_clock_max_error: Gauge<f64, AtomicU64>,
     latency: Family<Labels, Gauge<f64, AtomicU64>>,
 }
 
@@ -80,6 +82,15 @@ impl Metrics {
             all.register("device_bytes_skipped", "Bytes of no record and no answer", skipped);
             all.register("sensor_lost", "Expected samples not published as ok", metrics.sensor_lost.clone());
             all.register("problems", "Problems named on the status topic", metrics.problems.clone());
+            let synchronised = "1 while the computer's clock follows another by NTP or PTP";
+            all.register("host_clock_synchronised", synchronised, metrics.host_clock_synchronised.clone());
+            let most = "How far off the computer's clock may be at most";
+            all.register_with_unit(
+                "host_clock_max_error",
+                most,
+                Unit::Seconds,
+                metrics.host_clock_max_error.clone(),
+            );
             let latency = "How long a stage of the flow takes; of `segments` the processor time per frame";
             all.register_with_unit("latency", latency, Unit::Seconds, metrics.latency.clone());
             *metrics.registry.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = all;
@@ -116,6 +127,10 @@ impl Metrics {
                 let labels = vec![("stage", stage.stage.clone()), ("quantile", quantile.to_owned())];
                 self.latency.get_or_create(&labels).set(ms * 1e-3);
             }
+        }
+        if let Some(clock) = &status.host_clock {
+            self.host_clock_synchronised.set(clock.synchronised.into());
+            self.host_clock_max_error.set(clock.max_error_s);
         }
         self.problems.set(signed(status.problems.len() as u64));
     }

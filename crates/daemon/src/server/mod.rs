@@ -429,6 +429,7 @@ fn topics_of(stage: &Stage, more: &[Topic]) -> Vec<Topic> {
     topics.extend((!stage.sensors.is_empty()).then_some(Topic::Segments));
     topics.extend(BodyLayout::all(stage).iter().any(Option::is_some).then_some(Topic::Body));
     topics.extend(stage.keyframes.is_some().then_some(Topic::Keyframes));
+    topics.extend(stage.timecode.is_some().then_some(Topic::Timecode));
     topics.extend_from_slice(more);
     topics.extend(stage.simulation.is_some().then_some(Topic::Truth));
     topics.sort();

@@ -60,7 +60,12 @@ impl Streaming {
                 encode::message(Encoding::Json, head, &body, &mut message);
                 String::from_utf8(message).ok().map(|json| self.streams.event(stamp, json))
             }
-            Item::Truth(_) | Item::Status(_) | Item::Jobs(_) | Item::Sessions(_) | Item::Rewind => None,
+            Item::Truth(_)
+            | Item::Status(_)
+            | Item::Jobs(_)
+            | Item::Sessions(_)
+            | Item::Timecode(_)
+            | Item::Rewind => None,
         };
         if let Some(sample) = sample
             && !lsl.report(sample)

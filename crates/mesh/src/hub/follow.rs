@@ -453,7 +453,10 @@ impl Work {
             relation: Relation::default(),
             wish,
             counted: None,
-            status: (Status::default(), Stamp { topic: Topic::Status, body: 0, t_us: 0, event_id: None }),
+            status: (
+                Status::default(),
+                Stamp { topic: Topic::Status, body: 0, t_us: 0, event_id: None, timecode: None },
+            ),
         };
         Ok((following, until))
     }

@@ -113,6 +113,7 @@ fn owned(output: &Output<'_>) -> Option<Item> {
         Output::Body(body) => Item::Body(Box::new((*body).clone())),
         Output::Truth(truth) => Item::Truth(Box::new((*truth).clone())),
         Output::Outcome(outcome) => Item::Outcome(Box::new((*outcome).clone())),
+        Output::Timecode(timecode) => Item::Timecode(**timecode),
         _ => return None,
     })
 }

@@ -22,6 +22,7 @@ mod session;
 mod setup;
 mod stages;
 mod status;
+mod timecode;
 mod truth;
 
 use schemars::JsonSchema;
@@ -56,8 +57,10 @@ pub use self::setup::{
 };
 pub use self::stages::{RelatedClock, StageEntry, StagePresence, Stages};
 pub use self::status::{
-    DeviceStatus, LinkState, Problem, RecordingStatus, ReplayStatus, SensorStatus, StageLatency, Status,
+    DeviceStatus, HostClock, LinkState, Problem, RecordingStatus, ReplayStatus, SensorStatus, StageLatency,
+    Status,
 };
+pub use self::timecode::Timecode;
 pub use self::truth::{TruthEntry, Truths};
 
 /// Everything a client can receive.
@@ -94,6 +97,8 @@ pub enum ServerMessage {
     Segments(Data<SegmentBody>),
     /// Somebody noted a moment.
     Marks(Data<Mark>),
+    /// Where time code lies.
+    Timecode(Data<Timecode>),
     /// All stages of a hub; only on a hub's own websocket.
     Stages(Stages),
 }
@@ -109,4 +114,8 @@ pub struct Data<B> {
     /// The rest.
     #[serde(flatten)]
     pub body: B,
+    /// Time code at the message's `t_s`, `HH:MM:SS:FF.hh` with hundredths of a frame, and `;` before the frames where counting is
+    /// drop-frame; absent where it is not known to half a frame, and on stages without `[timecode]`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub timecode: Option<String>,
 }

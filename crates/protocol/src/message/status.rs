@@ -24,10 +24,26 @@ pub struct Status {
     /// The recording that is being replayed; null on a live stage.
     #[serde(default)]
     pub replay: Option<ReplayStatus>,
+    /// Whether this computer's clock follows another, as its kernel tells; null where it does not, and in a replay.
+    #[serde(default)]
+    pub host_clock: Option<HostClock>,
     /// What is wrong now, beside the devices' own reasons: disk full, wall clock set, ...
     pub problems: Vec<Problem>,
     /// Connected clients.
     pub clients: u32,
+}
+
+/// The wall clock of the computer that the stage runs on. The stage's own times do not follow it: they count from `hello.epoch_utc`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct HostClock {
+    /// Whether it follows another clock, by NTP or PTP.
+    pub synchronised: bool,
+    /// How far off it may be at most, s; 16 s and more where nothing follows.
+    pub max_error_s: f64,
+    /// How far off it is taken to be, s.
+    pub estimated_error_s: f64,
+    /// TAI minus UTC, s, which PTP works with; null where nobody has set it.
+    pub tai_offset_s: Option<i32>,
 }
 
 /// What a device's link does.

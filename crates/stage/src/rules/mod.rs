@@ -13,6 +13,7 @@ mod field;
 mod keyframes;
 pub(super) mod models;
 mod server;
+mod timecode;
 mod zenoh;
 
 use std::ops::Range;
@@ -42,6 +43,9 @@ pub(super) fn check(document: &Spanned<DeTable<'_>>, folder: Option<&Path>, note
     }
     if let Some(zenoh) = root.item("zenoh") {
         zenoh::check(&zenoh, folder, notes);
+    }
+    if let Some(timecode) = root.item("timecode") {
+        timecode::check(&timecode, notes);
     }
     if let Some(ros2) = root.item("ros2") {
         zenoh::check_ros2(&ros2, notes);
