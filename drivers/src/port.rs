@@ -1,11 +1,12 @@
 //! The only file of this package that opens a port.
 //!
-//! What comes in: the path of a serial port or pseudo-terminal, `tcp://HOST:PORT` or `udp://HOST:PORT`. What goes out:
+//! What comes in: the path of a serial port or pseudo-terminal, `tcp://HOST:PORT`, `udp://HOST:PORT` or `usb://VENDOR:PRODUCT`. What goes out:
 //! a [`Port`] to read from and write to, or a sentence for the operator. It decodes nothing.
 
 #[cfg(target_os = "linux")]
 mod hidraw;
 mod udp;
+mod usb;
 
 use std::io;
 use std::pin::Pin;
@@ -19,6 +20,7 @@ use tokio_serial::{ClearBuffer, ErrorKind, SerialPort, SerialStream};
 #[cfg(target_os = "linux")]
 pub use hidraw::{HidStream, is_one as is_receiver, receivers};
 pub use udp::{UdpStream, shared as shared_udp};
+pub use usb::{UsbStream, usb_units, usb_units_without_firmware};
 
 /// Receivers on USB that are plugged in, by path; none on this system.
 #[cfg(not(target_os = "linux"))]
@@ -45,7 +47,7 @@ pub enum PortError {
         /// The port as named in the stage file.
         port: String,
     },
-    /// The operating system refuses to open a receiver on USB.
+    /// The operating system refuses to open a unit or a receiver on USB.
     #[error(
         "no right to open {port}; it needs the udev rule of packaging/60-posed.rules and the group `dialout`, then plug it in again"
     )]
@@ -183,6 +185,8 @@ pub enum Stream {
     /// Reports of a receiver on USB.
     #[cfg(target_os = "linux")]
     Hid(HidStream),
+    /// A unit with a USB port of its own.
+    Usb(Box<UsbStream>),
 }
 
 impl AsyncRead for Stream {
@@ -193,6 +197,7 @@ impl AsyncRead for Stream {
             Self::Udp(stream) => Pin::new(stream).poll_read(cx, buf),
             #[cfg(target_os = "linux")]
             Self::Hid(stream) => Pin::new(stream).poll_read(cx, buf),
+            Self::Usb(stream) => Pin::new(&mut **stream).poll_read(cx, buf),
         }
     }
 }
@@ -205,12 +210,14 @@ impl AsyncWrite for Stream {
             Self::Udp(stream) => Pin::new(stream).poll_write(cx, bytes),
             #[cfg(target_os = "linux")]
             Self::Hid(stream) => Pin::new(stream).poll_write(cx, bytes),
+            Self::Usb(stream) => Pin::new(&mut **stream).poll_write(cx, bytes),
         }
     }
 
     fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         match self.get_mut() {
             Self::Tcp(stream) => Pin::new(stream).poll_flush(cx),
+            Self::Usb(stream) => Pin::new(&mut **stream).poll_flush(cx),
             // A serial flush blocks until the last bit is out; nobody here needs to know when.
             _ => Poll::Ready(Ok(())),
         }
@@ -219,12 +226,13 @@ impl AsyncWrite for Stream {
     fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         match self.get_mut() {
             Self::Tcp(stream) => Pin::new(stream).poll_shutdown(cx),
+            Self::Usb(stream) => Pin::new(&mut **stream).poll_shutdown(cx),
             _ => Poll::Ready(Ok(())),
         }
     }
 }
 
-/// Opens a receiver on USB (`/dev/hidrawN`, under Linux), a serial port (8 data bits, no parity, 1 stop bit, raw, exclusive), `tcp://HOST:PORT` or `udp://HOST:PORT`.
+/// Opens a receiver on USB (`/dev/hidrawN`, under Linux), a serial port (8 data bits, no parity, 1 stop bit, raw, exclusive), `tcp://HOST:PORT`, `udp://HOST:PORT`, or a unit on USB (`usb://VENDOR:PRODUCT`).
 ///
 /// What a serial port has received before is thrown away. RTS is let go at once, where it exists: opening a port raises it, and it holds a Flock in reset. TCP sends without delay (no
 /// Nagle). Under Linux an FTDI adapter is set to a latency of 1 ms; where that is not allowed, its bytes may come in bursts of
@@ -250,14 +258,19 @@ pub async fn open(port: &str, options: Options) -> Result<Port<Stream>, PortErro
         })?;
         return Ok(Port::new(Stream::Udp(stream)));
     }
+    let on_usb = |error: io::Error| match error.kind() {
+        io::ErrorKind::NotFound => PortError::Missing { port: port.into() },
+        io::ErrorKind::PermissionDenied => PortError::ReceiverNotAllowed { port: port.into() },
+        io::ErrorKind::ResourceBusy => PortError::Busy { port: port.into() },
+        _ => PortError::Other { port: port.into(), reason: error.to_string() },
+    };
+    if let Some(address) = port.strip_prefix("usb://") {
+        let stream = UsbStream::open(address).await.map_err(on_usb)?;
+        return Ok(Port::new(Stream::Usb(Box::new(stream))));
+    }
     #[cfg(target_os = "linux")]
     if is_receiver(port) {
-        let stream = HidStream::open(port).map_err(|error| match error.kind() {
-            io::ErrorKind::NotFound => PortError::Missing { port: port.into() },
-            io::ErrorKind::PermissionDenied => PortError::ReceiverNotAllowed { port: port.into() },
-            _ => PortError::Other { port: port.into(), reason: error.to_string() },
-        })?;
-        return Ok(Port::new(Stream::Hid(stream)));
+        return Ok(Port::new(Stream::Hid(HidStream::open(port).map_err(on_usb)?)));
     }
     let baud = options.baud;
     let mut serial =

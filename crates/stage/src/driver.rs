@@ -129,7 +129,7 @@ impl Driver {
     /// `baud` are those of the stage file; a `port` that is no address counts as a line.
     pub fn line_baud(&self, port: &str, baud: u32) -> Option<u32> {
         let limited = match port.parse::<PortAddress>() {
-            Ok(PortAddress::Udp { .. } | PortAddress::Websocket) => false,
+            Ok(PortAddress::Udp { .. } | PortAddress::Websocket | PortAddress::Usb) => false,
             Ok(port) if port.is_receiver() => false,
             // A serial server has a line behind it; units with a socket of their own have none.
             Ok(PortAddress::Tcp { .. }) => {
@@ -155,16 +155,21 @@ impl Driver {
                 "tcp://HOST:6000 or udp://HOST:5000",
             ),
             (Self::OpenImu(_), port) => (
-                !port.is_receiver(),
+                *port != PortAddress::Usb && !port.is_receiver(),
                 "websocket, udp://HOST:PORT, the path of a serial port, tcp://HOST:PORT, or auto",
             ),
             (Self::Vrpn(_), port) => (matches!(port, PortAddress::Tcp { .. }), "tcp://HOST:3883"),
             (Self::XImu3(_), port) => (
-                *port != PortAddress::Websocket && !port.is_receiver(),
+                !matches!(port, PortAddress::Websocket | PortAddress::Usb) && !port.is_receiver(),
                 "the path of a serial port, tcp://HOST:PORT, udp://HOST:PORT, or auto",
             ),
-            (_, port) => (
+            (Self::Polhemus(_), port) => (
                 !matches!(port, PortAddress::Udp { .. } | PortAddress::Websocket) && !port.is_receiver(),
+                "the path of a serial port, usb://0f44:ff20 of a Liberty or usb://0f44:ef20 of a Patriot, tcp://HOST:PORT of a serial server, or auto",
+            ),
+            (_, port) => (
+                !matches!(port, PortAddress::Udp { .. } | PortAddress::Websocket | PortAddress::Usb)
+                    && !port.is_receiver(),
                 "the path of a serial port, tcp://HOST:PORT of a serial server, or auto",
             ),
         };

@@ -25,6 +25,8 @@ pub enum PortAddress {
         /// UDP port, from 1.
         port: u16,
     },
+    /// A unit with a USB port of its own: `usb://VENDOR:PRODUCT` in hexadecimal, and `/BUS-PORTS` behind it where two of a kind are plugged in.
+    Usb,
     /// The daemon's own websocket `/imu`, to which devices connect: `websocket`.
     Websocket,
 }
@@ -35,9 +37,12 @@ pub enum PortAddressError {
     /// The text is empty.
     #[error("the port is empty")]
     Empty,
-    /// A URL of another kind than `tcp://` and `udp://`.
-    #[error("only tcp:// and udp:// are known")]
+    /// A URL of another kind.
+    #[error("only tcp://, udp:// and usb:// are known")]
     Scheme,
+    /// No two hexadecimal numbers behind `usb://`.
+    #[error("a unit on USB is named by its two numbers, as `lsusb` writes them")]
+    Usb,
     /// No host, or one with white space or `/` in it.
     #[error("the host is missing")]
     Host,
@@ -71,6 +76,11 @@ impl FromStr for PortAddress {
             host_and_port(rest).map(|(host, port)| Self::Tcp { host, port })
         } else if let Some(rest) = text.strip_prefix("udp://") {
             host_and_port(rest).map(|(host, port)| Self::Udp { host, port })
+        } else if let Some(rest) = text.strip_prefix("usb://") {
+            let id = rest.split_once('/').map_or(rest, |(id, _)| id);
+            let number = |text: &str| text.len() == 4 && u16::from_str_radix(text, 16).is_ok();
+            let named = id.split_once(':').is_some_and(|(vendor, product)| number(vendor) && number(product));
+            if named { Ok(Self::Usb) } else { Err(PortAddressError::Usb) }
         } else if text.contains("://") {
             Err(PortAddressError::Scheme)
         } else if text.starts_with('/') && !text.contains('\0') {
@@ -108,6 +118,9 @@ mod tests {
             ("tcp://moxa:4001", Ok(tcp("moxa", 4001))),
             ("tcp://[fe80::1]:4001", Ok(tcp("fe80::1", 4001))),
             ("udp://10.0.0.7:6000", Ok(PortAddress::Udp { host: "10.0.0.7".into(), port: 6000 })),
+            ("usb://0f44:ff20", Ok(PortAddress::Usb)),
+            ("usb://0f44:ff20/1-2.3", Ok(PortAddress::Usb)),
+            ("usb://liberty", Err(E::Usb)),
             ("", Err(E::Empty)),
             ("ttyUSB0", Err(E::Relative)),
             ("http://moxa:80", Err(E::Scheme)),

@@ -20,6 +20,8 @@ const QUESTION: Duration = Duration::from_millis(1600);
 
 /// How long a receiver on USB is listened to: it names all that it knows within a second.
 const LISTENED: Duration = Duration::from_millis(1000);
+/// How long a unit on USB is asked.
+const UNIT: Duration = Duration::from_secs(4);
 
 /// What to ask for.
 #[derive(Clone, Copy, Debug, Default)]
@@ -60,7 +62,7 @@ pub async fn ports(
     reports
 }
 
-/// Units that announce themselves on the network, trackers that look for a server, and those that receivers on USB know.
+/// Units that announce themselves on the network, trackers that look for a server, those that receivers on USB know, and units on USB.
 pub async fn network() -> Vec<FoundPort> {
     let (units, trackers, open) = tokio::join!(
         announcements(ANNOUNCED),
@@ -98,6 +100,24 @@ pub async fn network() -> Vec<FoundPort> {
     for port in port::receivers() {
         reports.push(receiver(&port).await);
     }
+    reports.extend(units().await);
+    reports
+}
+
+/// Units that have a USB port of their own.
+async fn units() -> Vec<FoundPort> {
+    let wanted = Wanted { baud: None, kind: Some(Kind::Polhemus) };
+    let mut reports = Vec::new();
+    for port in port::usb_units().await {
+        reports.push(one(&port, wanted, UNIT).await);
+    }
+    let fix = "install the maker's driver for Linux, whose udev rule loads it, and plug the unit in again; or use its serial port";
+    reports.extend(port::usb_units_without_firmware().await.into_iter().map(|port| FoundPort {
+        port,
+        problem: Some("the unit waits for its firmware".to_owned()),
+        fix: Some(fix.to_owned()),
+        ..FoundPort::default()
+    }));
     reports
 }
 

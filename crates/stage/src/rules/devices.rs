@@ -49,6 +49,9 @@ fn ports(devices: &[Item<'_, '_>], sensors: &[Item<'_, '_>], notes: &mut Notes<'
                 PortAddressError::Relative => {
                     format!("write \"/dev/{}\", or \"auto\"", port.value.trim_start_matches("dev/"))
                 }
+                PortAddressError::Usb => {
+                    "write \"usb://0f44:ff20\" for a Liberty, or \"usb://0f44:ef20\" for a Patriot".to_owned()
+                }
                 PortAddressError::Scheme | PortAddressError::Host | PortAddressError::Number => {
                     "write \"tcp://HOST:PORT\" or \"udp://HOST:PORT\"".to_owned()
                 }
