@@ -178,11 +178,11 @@ mod tests {
     use posed_stage::Zenoh;
 
     use super::*;
-    use crate::session::open;
+    use crate::session::{End, open};
 
     #[test]
     fn more_questions_than_may_wait_get_no_answer_at_once_and_those_that_wait_get_theirs() {
-        let session = open(&Zenoh::default()).unwrap();
+        let session = open(&Zenoh::default(), End::Stage).unwrap();
         let (_queryables, questions) = collect(&session, ["posed/a/status".to_owned()]).unwrap();
         let ask = |_| session.get("posed/a/status").wait().unwrap();
         let asked = (0..WAITING + 50).map(ask).collect::<Vec<_>>();

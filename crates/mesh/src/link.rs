@@ -60,7 +60,7 @@ impl Threads {
         };
         let session = thread("zenoh-open", {
             let settings = settings.clone();
-            move || session::open(&settings)
+            move || session::open(&settings, session::End::Stage)
         })?
         .join()
         .map_err(|_| LinkError::Crashed)??;

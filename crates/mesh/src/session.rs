@@ -49,9 +49,26 @@ pub enum LinkError {
     Thread(std::io::Error),
 }
 
+/// Which end of it a session is. A router between them passes on what is for another region, and nothing within one: stages do not see each
+/// other, and all hubs see all stages.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum End {
+    Stage,
+    Hub,
+}
+
+impl End {
+    fn region(self) -> &'static str {
+        match self {
+            Self::Stage => "posed-stage",
+            Self::Hub => "posed-hub",
+        }
+    }
+}
+
 /// Opens a session; blocks for a moment, and must not be called on a tokio thread.
-pub(crate) fn open(settings: &Zenoh) -> Result<Session, LinkError> {
-    let config = config(settings)?;
+pub(crate) fn open(settings: &Zenoh, end: End) -> Result<Session, LinkError> {
+    let config = config(settings, end)?;
     let ends = settings.listen.join(", ");
     zenoh::open(config).wait().map_err(|error| LinkError::Open { ends, error })
 }
@@ -78,12 +95,13 @@ fn retry() -> String {
     retry.to_string()
 }
 
-fn config(settings: &Zenoh) -> zenoh::Result<Config> {
+fn config(settings: &Zenoh, end: End) -> zenoh::Result<Config> {
     let ends = |list: &[String]| serde_json::to_string(list);
     let open_ms = (OPEN_ROUND_TRIPS * settings.round_trip_ms).max(OPEN_MS) as u32;
     let mut config = Config::default();
     for (key, value) in [
         ("mode", "\"peer\"".to_owned()),
+        ("region_name", serde_json::to_string(end.region())?),
         ("listen/endpoints", ends(&settings.listen)?),
         ("connect/endpoints", ends(&settings.connect)?),
         ("connect/timeout_ms", "-1".to_owned()),
@@ -149,11 +167,11 @@ mod tests {
     fn a_message_larger_than_may_be_is_refused_and_those_after_it_come() {
         let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let end = vec![format!("tcp/127.0.0.1:{port}")];
-        let hub = open(&Zenoh { listen: end.clone(), ..Zenoh::default() }).unwrap();
+        let hub = open(&Zenoh { listen: end.clone(), ..Zenoh::default() }, End::Hub).unwrap();
         let (heard_in, heard) = crossbeam_channel::unbounded();
         let hear = move |sample: zenoh::sample::Sample| heard_in.send(sample.payload().len()).unwrap();
         let _subscriber = hub.declare_subscriber("posed/a").callback(hear).wait().unwrap();
-        let stage = open(&Zenoh { connect: end, ..Zenoh::default() }).unwrap();
+        let stage = open(&Zenoh { connect: end, ..Zenoh::default() }, End::Stage).unwrap();
         let put = |bytes: usize| {
             let put = stage.put("posed/a", vec![0; bytes]);
             put.congestion_control(zenoh::qos::CongestionControl::Block).wait().unwrap();
@@ -176,6 +194,49 @@ mod tests {
         assert_eq!(next(), Some(largest - 1024));
     }
 
+    /// Neither end listens: what is declared, said and asked passes through the router.
+    #[test]
+    fn tokens_messages_and_answers_pass_through_a_router() {
+        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        // As docs/hub.md has it.
+        let gateway = r#"{"south": [{"filters": [{"region_names": ["posed-hub"]}]},
+            {"filters": [{"region_names": ["posed-stage"]}]}, {"filters": [{"modes": ["client"]}]}]}"#;
+        let mut config = Config::default();
+        for (key, value) in [
+            ("mode", "\"router\"".to_owned()),
+            ("listen/endpoints", format!("[\"tcp/127.0.0.1:{port}\"]")),
+            ("gateway", gateway.to_owned()),
+            ("scouting/multicast/enabled", "false".to_owned()),
+        ] {
+            config.insert_json5(key, &value).unwrap();
+        }
+        let router = zenoh::open(config).wait().unwrap();
+        let settings = Zenoh { connect: vec![format!("tcp/127.0.0.1:{port}")], ..Zenoh::default() };
+        let (stage, hub) = (open(&settings, End::Stage).unwrap(), open(&settings, End::Hub).unwrap());
+        let (heard_in, heard) = crossbeam_channel::unbounded();
+        let hears = |what: &'static str| {
+            let heard_in = heard_in.clone();
+            move |_: zenoh::sample::Sample| heard_in.send(what).unwrap()
+        };
+        let liveliness = stage.liveliness();
+        let _wishes = liveliness
+            .declare_subscriber("posed/a/posed-wish/**")
+            .history(true)
+            .callback(hears("wish"))
+            .wait();
+        let answer = |query: zenoh::query::Query| _ = query.reply(query.key_expr().clone(), "here").wait();
+        let _answers = stage.declare_queryable("posed/a/clock").callback(answer).wait().unwrap();
+        let _frames = hub.declare_subscriber("posed/a/feed/frames").callback(hears("frame")).wait().unwrap();
+        let _wish = hub.liveliness().declare_token("posed/a/posed-wish/hub/{}").wait().unwrap();
+        let next = || heard.recv_timeout(Duration::from_secs(20)).unwrap();
+        assert_eq!(next(), "wish");
+        stage.put("posed/a/feed/frames", "frame").wait().unwrap();
+        assert_eq!(next(), "frame");
+        let replies = hub.get("posed/a/clock").wait().unwrap();
+        assert!(replies.recv_timeout(Duration::from_secs(20)).unwrap().unwrap().result().is_ok());
+        router.close().wait().unwrap();
+    }
+
     #[test]
     fn zenoh_knows_every_key_that_is_set() {
         let settings = Zenoh {
@@ -191,7 +252,7 @@ mod tests {
             }),
             ..Zenoh::default()
         };
-        let config = config(&settings).unwrap();
+        let config = config(&settings, End::Hub).unwrap();
         let emitted = config.to_string();
         for part in [
             "hub.local:7447",

@@ -103,7 +103,7 @@ impl Hub {
         #[expect(clippy::disallowed_methods, reason = "zenoh is opened where it may block")]
         let opened = std::thread::spawn({
             let settings = settings.clone();
-            move || session::open(&settings)
+            move || session::open(&settings, session::End::Hub)
         })
         .join();
         let session = opened.map_err(|_| LinkError::Crashed)??;
