@@ -43,7 +43,7 @@ struct Shared<C> {
 
 impl<C> Inbox<C> {
     /// A queue in which chunks give way once it holds `capacity` events.
-    pub(super) fn new(capacity: usize) -> Self {
+    pub fn new(capacity: usize) -> Self {
         let queue = Mutex::new(VecDeque::with_capacity(capacity));
         Self { shared: Arc::new(Shared { queue, filled: Condvar::new(), capacity }) }
     }
