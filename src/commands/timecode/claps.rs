@@ -1,4 +1,7 @@
 //! Sharp peaks of acceleration: hands, or a slate with a sensor on it, that meet.
+//!
+//! By what IMUs measure alone: of a magnetic sensor's positions a second derivative is noise, and its filter's velocity jumps where
+//! records were missing.
 
 use posed_stage::output::Estimate;
 use serde::Serialize;
@@ -15,8 +18,6 @@ const AROUND_S: f64 = 1.0;
 const APART_S: f64 = 0.25;
 /// Peaks of several sensors this near are one clap, s.
 const TOGETHER_S: f64 = 0.03;
-/// Longest step between two samples over which a velocity's change is an acceleration, s.
-const LONGEST_STEP_S: f64 = 0.05;
 
 /// A clap.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -37,8 +38,6 @@ struct Course {
     name: String,
     /// Capture time, s, and acceleration without gravity, m/s².
     samples: Vec<(f64, f64)>,
-    /// Time and velocity of a magnetic sensor.
-    before: Option<(f64, [f64; 3])>,
 }
 
 /// The accelerations of all sensors.
@@ -55,28 +54,21 @@ impl Motion {
 
     /// Takes a frame.
     pub(super) fn push(&mut self, estimate: &Estimate) {
-        let frame_s = estimate.t_valid.as_secs_f64();
         for (course, sensor) in self.0.iter_mut().zip(&estimate.sensors) {
-            if let Some(measured) = &sensor.measured
-                && let Some(inertial) = &measured.inertial
-            {
-                let linear = inertial.linear_acceleration_m_s2.map(length);
-                // A peak is many times gravity: how the sensor is turned hardly counts.
-                let force = inertial.specific_force_m_s2.map(|force| (length(force) - GRAVITY_M_S2).abs());
-                if let Some(acceleration) = linear.or(force) {
-                    course.push(measured.t_valid.as_secs_f64(), acceleration);
-                }
-                continue;
-            }
-            let velocity = sensor.usable_pose().and_then(|pose| pose.velocity_m_s);
-            let Some(velocity) = velocity else { continue };
-            if let Some((t_s, before)) = course.before.replace((frame_s, velocity))
-                && frame_s - t_s < LONGEST_STEP_S
-            {
-                let change = std::array::from_fn(|axis| velocity[axis] - before[axis]);
-                course.push(0.5 * (frame_s + t_s), length(change) / (frame_s - t_s));
+            let Some(measured) = &sensor.measured else { continue };
+            let Some(inertial) = &measured.inertial else { continue };
+            let linear = inertial.linear_acceleration_m_s2.map(length);
+            // A peak is many times gravity: how the sensor is turned hardly counts.
+            let force = inertial.specific_force_m_s2.map(|force| (length(force) - GRAVITY_M_S2).abs());
+            if let Some(acceleration) = linear.or(force) {
+                course.push(measured.t_valid.as_secs_f64(), acceleration);
             }
         }
+    }
+
+    /// Whether any sensor has measured acceleration.
+    pub(super) fn is_known(&self) -> bool {
+        self.0.iter().any(|course| !course.samples.is_empty())
     }
 
     /// The claps, in order of time.

@@ -138,6 +138,12 @@ fn recording(args: &Args) -> Result<(), Error> {
             let (stage, recorded) = Recorded::open(&args.file)?;
             let mut motion = Motion::new(stage.sensors.iter().map(|sensor| sensor.name.clone()));
             recorded.estimates(|estimate| motion.push(estimate))?;
+            if !motion.is_known() {
+                return Err(Error::Failed(format!(
+                    "{}: no sensor measures acceleration: claps are seen by IMUs alone",
+                    args.file.display()
+                )));
+            }
             let mut claps = motion.claps();
             // The code of the whole log: of one that went on elsewhere, that of its end.
             claps.iter_mut().for_each(|clap| clap.timecode = label(track.relation(), clap.t_s));

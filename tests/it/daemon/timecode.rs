@@ -15,6 +15,7 @@ use serde_json::Value;
 
 use super::process::{Posed, ok, record_start, replays, two_devices, until};
 use super::recordings::FULL;
+use crate::chromium::{self, Browser};
 use crate::cli::posed;
 
 const COUNTING: Counting = Counting { frames_per_s: 25, drop: false };
@@ -113,10 +114,15 @@ async fn messages_and_takes_carry_the_code_and_a_generator_that_stops_is_carried
         assert!(off_s.abs() < 0.04, "{off_s}: {message}");
         compared += 1;
     }
+    if chromium::is_wanted() {
+        let mut browser = Browser::open(&format!("http://{}/", posed.address)).await;
+        browser.until("document.getElementById('timecode')?.textContent.startsWith('10:0') === true").await;
+        assert_eq!(browser.complaints, Vec::<String>::new());
+    }
     let generator_began_s = generator.began_s;
     drop(generator);
     let held = until(&mut client, "holding", |message| message["state"] == "holding").await;
-    assert!(held["timecode"].is_string() && held["sigma_s"].as_f64() > told["sigma_s"].as_f64().map(|_| 0.0));
+    assert!(held["timecode"].is_string() && held["sigma_s"].as_f64() > Some(0.0));
     until(&mut client, "it is said", |message| names(message, "nobody writes to")).await;
     until(&mut client, "carried on", |message| {
         message["type"] == "sensors" && message["timecode"].is_string()
@@ -161,12 +167,14 @@ fn lines_up(folder: &Path, take: &Path, ten_s: f64) {
     let off_s = found["begins_at_s"].as_f64().unwrap() - (ten_s + 1.0);
     assert!(off_s.abs() < 0.04, "{off_s}: {found}");
     assert_eq!((&found["stretches"][0]["rate"], &found["stretches"][0]["gaps"]), (&"25".into(), &0.into()));
-    // On the other channel is nothing, and nobody has clapped.
+    // On the other channel is nothing, and no sensor would have felt a clap.
     let silent = posed(["timecode".as_ref(), sound.as_os_str()]);
     let said = String::from_utf8(silent.stderr).unwrap();
     assert!(silent.status.code() == Some(1) && said.contains("--channel names another"), "{said}");
     let claps = posed(["timecode".as_ref(), take.as_os_str(), "--claps".as_ref()]);
-    let said = String::from_utf8(claps.stdout).unwrap();
+    let said = String::from_utf8(claps.stderr).unwrap();
+    assert!(claps.status.code() == Some(1) && said.contains("no sensor measures acceleration"), "{said}");
+    let said = String::from_utf8(posed(["timecode".as_ref(), take.as_os_str()]).stdout).unwrap();
     assert!(said.starts_with("timecode  10:00:0") && said.contains(" at 25, "), "{said}");
 }
 
