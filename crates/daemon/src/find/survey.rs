@@ -100,12 +100,12 @@ pub async fn network() -> Vec<FoundPort> {
     for port in port::receivers() {
         reports.push(receiver(&port).await);
     }
-    reports.extend(units().await);
+    reports.extend(units_on_usb().await);
     reports
 }
 
 /// Units that have a USB port of their own.
-async fn units() -> Vec<FoundPort> {
+async fn units_on_usb() -> Vec<FoundPort> {
     let wanted = Wanted { baud: None, kind: Some(Kind::Polhemus) };
     let mut reports = Vec::new();
     for port in port::usb_units().await {
