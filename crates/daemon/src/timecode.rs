@@ -218,7 +218,7 @@ async fn read(from: &pipe::Receiver, buffer: &mut [u8]) -> io::Result<usize> {
 /// Bytes to frames of time code.
 enum Decoder {
     Ltc {
-        decoder: ltc::Decoder,
+        decoder: Box<ltc::Decoder>,
         channels: usize,
         channel: usize,
         stream: u32,
@@ -236,7 +236,7 @@ impl Decoder {
         match settings.signal {
             TimecodeSignal::Mtc => Self::Mtc { decoder: mtc::Decoder::default(), stream },
             TimecodeSignal::Ltc => Self::Ltc {
-                decoder: ltc::Decoder::new(f64::from(settings.sample_rate_hz)),
+                decoder: Box::new(ltc::Decoder::new(f64::from(settings.sample_rate_hz))),
                 channels: usize::from(settings.channels.max(1)),
                 channel: usize::from(settings.channel.max(1) - 1),
                 stream,
