@@ -10,7 +10,8 @@
 //! let mut stage = Client::connect("127.0.0.1:8787", None).await?;
 //! stage.subscribe(Choice::of([Topic::Jobs])).await?;
 //! let job: Started = stage.request(&Call::RecordStart { name: None }).await?;
-//! println!("job {} of {}: {:?}", job.job, stage.hello().stage, stage.next().await?);
+//! println!("job {} of {}", job.job, stage.hello().stage);
+//! println!("{:?}", stage.next().await?);
 //! # Ok(())
 //! # }
 //! ```
