@@ -19,8 +19,8 @@
 //!     decoder.push(&samples, 0, |reading| _ = follower.push(t_read, &reading));
 //! }
 //! let relation = follower.relation().unwrap();
-//! let label = relation.label(Timestamp::from_secs_f64(0.5)).unwrap();
-//! assert_eq!(label.to_string(), "10:00:00:12.50");
+//! let label = relation.label(Timestamp::from_secs_f64(0.5022)).unwrap();
+//! assert_eq!(label.to_string(), "10:00:00:12.55");
 //! ```
 
 mod code;
