@@ -20,6 +20,8 @@ class Player {
   /** What is played over and over. */
   loop = $state.raw<Window | null>(null);
   loops = $state(false);
+  /** Somebody has sought to behind the loop: it goes on there. However late a busy page's next frame is, it comes back otherwise. */
+  private left = false;
   /** What a pause goes on with. */
   private before: Speed = 1;
   /** The job of a jump that has not arrived; NaN before its number is known, null: none. */
@@ -100,6 +102,7 @@ class Player {
     this.hand_s = null;
     const jump = { job: NaN, to_s: t_s, arrived: false };
     this.jump = jump;
+    this.left = this.loop !== null && t_s >= this.loop.to_s;
     this.looks.want(t_s);
     try {
       const { job } = await link.request({ type: "replay.seek", t_s });
@@ -150,10 +153,8 @@ class Player {
   private again(t_s: number): void {
     const { loop, replay } = this;
     if (!this.loops || !loop || !replay || this.hand_s !== null || this.jump || replay.speed === 0) return;
-    // Who has sought to behind it goes on there.
-    const step_s = 0.5 * Math.max(1, replay.speed ?? 4);
-    if (t_s < loop.to_s || t_s > loop.to_s + step_s) return;
-    this.seek(loop.from_s).catch(() => (this.loops = false));
+    if (t_s < loop.to_s) this.left = false;
+    else if (!this.left) this.seek(loop.from_s).catch(() => (this.loops = false));
   }
 
   /** Whether the jump is over: its job has ended, and a frame has come from there. In a pause none may come: what is looked at stays until it is played. */
