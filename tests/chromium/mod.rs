@@ -8,9 +8,11 @@
     reason = "shared by a test and a bench, neither of which uses all of it"
 )]
 
+use std::cell::OnceCell;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 use futures_util::{SinkExt, StreamExt};
@@ -20,7 +22,7 @@ use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
 
 /// Longest wait for anything.
-const PATIENCE: Duration = Duration::from_secs(180);
+const PATIENCE: Duration = Duration::from_secs(300);
 
 /// What the browser says where an expression's page is left before it has a value.
 const LEFT: &str = "Inspected target navigated or closed";
@@ -28,10 +30,41 @@ const LEFT: &str = "Inspected target navigated or closed";
 /// Four pictures a second: drawn by software, sixty take a processor for every browser.
 const SLOW_SCREEN: &str = "const frame = requestAnimationFrame; self.requestAnimationFrame = (draw) => setTimeout(() => frame(draw), 240)";
 
-/// Whether the page is to be driven; says so where it is not.
+/// Tests that drive browsers at the same time: more of them would take the processors from the daemons that they look at.
+const AT_ONCE: usize = 3;
+static DRIVING: (Mutex<usize>, Condvar) = (Mutex::new(0), Condvar::new());
+
+thread_local! {
+    /// That of the test whose thread this is, until it ends.
+    static PLACE: OnceCell<Place> = const { OnceCell::new() };
+}
+
+/// A test's place among those.
+struct Place;
+
+impl Place {
+    fn take() -> Self {
+        let (driving, freed) = &DRIVING;
+        let all_driven = |driving: &mut usize| *driving >= AT_ONCE;
+        *freed.wait_while(driving.lock().unwrap(), all_driven).unwrap() += 1;
+        Self
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let (driving, freed) = &DRIVING;
+        *driving.lock().unwrap_or_else(PoisonError::into_inner) -= 1;
+        freed.notify_one();
+    }
+}
+
+/// Whether the page is to be driven; says so where it is not. A test asks before it starts anything, and waits here for its turn.
 pub(crate) fn is_wanted() -> bool {
     let wanted = std::env::var_os("POSED_TEST_BROWSER").is_some();
-    if !wanted {
+    if wanted {
+        PLACE.with(|place| _ = place.get_or_init(Place::take));
+    } else {
         println!("skipped: set POSED_TEST_BROWSER to drive the page in Chromium");
     }
     wanted
