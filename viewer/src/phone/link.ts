@@ -63,7 +63,7 @@ export class Link {
 
   /** What the stage should know anew: the name. */
   greet(): void {
-    if (this.socket?.readyState === WebSocket.OPEN) this.say({ imu: 1, ...this.hello() });
+    this.say({ imu: 1, ...this.hello() });
   }
 
   /** Numbered whether it can be sent or not, so that the stage sees what it lacks. */
@@ -86,7 +86,8 @@ export class Link {
   }
 
   private say(message: object): void {
-    this.socket?.send(JSON.stringify(message));
+    // One that closes says so later, and a browser complains of what is sent meanwhile.
+    if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
   }
 
   private connect(): void {
