@@ -56,14 +56,17 @@ pub fn write_certificates(folder: &Path, computers: &[String]) -> Result<Vec<Pat
         Ok(text) => KeyPair::from_pem(&text).map_err(unusable(&key.display().to_string()))?,
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
             let new = KeyPair::generate().map_err(unusable("a key"))?;
-            let signed = authority().self_signed(&new).map_err(unusable("the authority"))?;
             write_secret(&key, &new.serialize_pem()).map_err(file(&key))?;
-            AtomicFile::replace(&certificate, signed.pem().as_bytes()).map_err(file(&certificate))?;
-            written.push(certificate);
             new
         }
         Err(error) => return Err(file(&key)(error)),
     };
+    // Its own decision: what ended between the two has left a key alone.
+    if !certificate.exists() {
+        let signed = authority().self_signed(&authority_key).map_err(unusable("the authority"))?;
+        AtomicFile::replace(&certificate, signed.pem().as_bytes()).map_err(file(&certificate))?;
+        written.push(certificate);
+    }
     let issuer = Issuer::new(authority(), authority_key);
     for computer in computers {
         let names: Vec<String> = computer.split(',').map(|name| name.trim().to_owned()).collect();
@@ -129,6 +132,8 @@ mod tests {
         let before = std::fs::read(folder.path().join("hub.local.pem")).unwrap();
         assert_eq!(names(write(&["hub.local", "stage-a"]).unwrap()), ["stage-a.pem"]);
         assert_eq!(std::fs::read(folder.path().join("hub.local.pem")).unwrap(), before);
+        std::fs::remove_file(folder.path().join(AUTHORITY)).unwrap();
+        assert_eq!(names(write(&["stage-b"]).unwrap()), [AUTHORITY, "stage-b.pem"]);
         for none in ["", ",", "../key", "a/b", "bä r"] {
             assert!(write(&[none]).is_err(), "{none:?}");
         }
