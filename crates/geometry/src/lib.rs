@@ -21,6 +21,7 @@ pub mod parallel;
 pub mod repetition;
 pub mod se3;
 pub mod so3;
+pub mod soonest;
 mod time;
 
 pub use time::Timestamp;

@@ -3,21 +3,21 @@
 //! What comes in: samples in the order of their arrival, with the unit's counter or the number of the sample. What goes out: one
 //! [`Stamp`] per sample. A radio only adds: no sample arrives before it was measured. So the fastest arrivals say where the unit's clock
 //! lies on the host's, and the rest says nothing but how rare they are. Blocks of half a second keep their fastest arrival each; the line that
-//! lies under all of them, and close to them, is the clock. How far they lie above it shows how far the fastest of all may be from one that
+//! lies under all of them ([`posed_geometry::soonest`]), and close to them, is the clock. How far they lie above it shows how far the fastest of all may be from one that
 //! nothing has kept back: what is late is late for a while, so it is blocks that are counted, not arrivals.
 //!
 //! Of a unit that numbers its samples and has no clock the number is one, of a rate that shows itself. One that does neither is believed by
 //! its arrivals alone.
 
 use posed_drivers::{DeviceTime, Sample, Timestamp};
+use posed_geometry::soonest::{BLOCK_S, Kept, Soonest, Under};
 use posed_state::Plain;
 
 use super::{LEAST_STEP_NS, Settings, Stamp};
 
-/// Blocks that are kept, and how long each is, s. Where samples keep their order and wait for one another, a fast one is rare: of 100 a second
+/// Blocks that are kept. Where samples keep their order and wait for one another, a fast one is rare: of 100 a second
 /// that are delayed by up to 80 ms one in 700 is less than 8 ms late. Four minutes hold enough of them to show offset and drift.
 const BLOCKS: usize = 512;
-const BLOCK_S: f64 = 0.5;
 /// Time that blocks must span before their drift is believed; until then only the latest of them count, s.
 const DRIFTS_AFTER_S: f64 = 20.0;
 const RECENT_S: f64 = 10.0;
@@ -53,16 +53,6 @@ const ARRIVAL_SIGMA_S: f64 = 0.025;
 const STEPS: usize = 31;
 /// Longest step that counts as one, s.
 const LONGEST_STEP_S: f64 = 1.1;
-
-/// The fastest arrival of some time.
-#[derive(Clone, Copy, Debug, Plain)]
-struct Block {
-    /// Device time at which it began.
-    begun_s: f64,
-    /// Device time of the fastest arrival, and host time less device time then.
-    fastest_s: f64,
-    offset_s: f64,
-}
 
 /// Where a unit's own time begins on the clock's axis.
 #[derive(Clone, Copy, Debug, Plain)]
@@ -111,7 +101,7 @@ pub struct RadioClock {
     origin: Option<Origin>,
     /// The first of a unit that only numbers its samples, before its rate is known.
     first: Option<(u64, Timestamp)>,
-    blocks: Vec<Block>,
+    fastest: Soonest,
     line: Option<Line>,
     latest: Option<Latest>,
     /// Samples in a row that came too early.
@@ -132,7 +122,7 @@ impl RadioClock {
             settings,
             origin: None,
             first: None,
-            blocks: Vec::with_capacity(BLOCKS),
+            fastest: Soonest::new(BLOCKS),
             line: None,
             latest: None,
             ahead: 0,
@@ -154,7 +144,7 @@ impl RadioClock {
     pub fn restart(&mut self) {
         self.origin = None;
         self.first = None;
-        self.blocks.clear();
+        self.fastest.clear();
         self.line = None;
         self.ahead = 0;
     }
@@ -193,7 +183,7 @@ impl RadioClock {
         }
         let offset_s = t_read.seconds_since(origin.t) - device_s;
         let late_s = self.line.map_or(0.0, |line| offset_s - line.offset_s(device_s));
-        if late_s < -AHEAD_S && self.blocks.len() >= FIRM {
+        if late_s < -AHEAD_S && self.fastest.blocks() >= FIRM {
             self.ahead += 1;
             if self.ahead < AGREEING {
                 return self.by_arrival(raw, t_read);
@@ -248,58 +238,25 @@ impl RadioClock {
         if origin.is_clock { 0.5 * origin.tick_s } else { 0.0 }
     }
 
-    /// Notes an arrival in the blocks, and draws the line anew where it says something.
+    /// Notes an arrival in the blocks, and draws the line anew where it says something. The drift is found once a block, and kept between.
     fn keep(&mut self, device_s: f64, offset_s: f64) {
         let drift = self.line.map_or(0.0, |line| line.drift);
-        match self.blocks.last_mut().filter(|block| device_s - block.begun_s < BLOCK_S) {
-            Some(block) => {
-                if offset_s - drift * device_s < block.offset_s - drift * block.fastest_s {
-                    (block.fastest_s, block.offset_s) = (device_s, offset_s);
-                    self.line = self.fit(Some(drift));
-                }
-            }
-            None => {
-                if self.blocks.len() == BLOCKS {
-                    self.blocks.remove(0);
-                }
-                self.blocks.push(Block { begun_s: device_s, fastest_s: device_s, offset_s });
-                self.line = self.fit(None);
-            }
+        match self.fastest.keep(device_s, offset_s, drift) {
+            Kept::Late => {}
+            Kept::Sooner => self.line = self.fit(Some(drift)),
+            Kept::Begun => self.line = self.fit(None),
         }
     }
 
-    /// The line under the fastest arrivals, close to them: of all that no block lies under, the one that is nearest in the middle of the
-    /// blocks' time. Its `drift` is found once a block, and kept between.
+    /// The line under the fastest arrivals, close to them.
     fn fit(&self, drift: Option<f64>) -> Option<Line> {
-        let (first, last) = (self.blocks.first()?, self.blocks.last()?);
-        let span_s = last.fastest_s - first.fastest_s;
+        let span_s = self.fastest.span_s();
         let is_clock = self.origin.is_some_and(|origin| origin.is_clock);
         let most = if is_clock { CRYSTAL } else { RATE };
-        let at_s = last.fastest_s;
-        let knows_drift = span_s >= DRIFTS_AFTER_S || !is_clock && self.blocks.len() > 4;
-        let blocks = || self.blocks.iter().filter(|block| knows_drift || at_s - block.fastest_s <= RECENT_S);
-        let offset_s = |block: &Block, drift: f64| block.offset_s + drift * (at_s - block.fastest_s);
-        let under = |drift: f64| blocks().map(|block| offset_s(block, drift)).fold(f64::INFINITY, f64::min);
-        let drift = drift.unwrap_or_else(|| {
-            if !knows_drift {
-                return 0.0;
-            }
-            // The height in the middle is a concave function of the drift: a search in thirds finds its top.
-            let height = |drift: f64| under(drift) - drift * 0.5 * span_s;
-            let (mut low, mut high) = (-most, most);
-            for _ in 0..40 {
-                let third = (high - low) / 3.0;
-                if height(low + third) < height(high - third) {
-                    low += third;
-                } else {
-                    high -= third;
-                }
-            }
-            0.5 * (low + high)
-        });
-        let least_s = under(drift);
-        let count = blocks().count() as f64;
-        let excess_s = blocks().map(|block| offset_s(block, drift) - least_s).sum::<f64>() / count;
+        let knows_drift = span_s >= DRIFTS_AFTER_S || !is_clock && self.fastest.blocks() > 4;
+        let Under { at_s, least_s, drift, count, excess_s } =
+            self.fastest.under(drift, knows_drift.then_some(most), RECENT_S)?;
+        let excess_s = excess_s / count;
         let expected_s = (count * excess_s + EXCESS_BLOCKS * EXCESS_S) / (count + EXCESS_BLOCKS);
         // The fastest of n is later than the fastest possible by an n-th of what each is where something undelayed is usual, and by as much
         // as each where nothing is. The first is more usual: a quarter is taken, and may be wrong by twice that.
@@ -312,9 +269,9 @@ impl RadioClock {
 
     /// Whether all arrivals of the latest blocks were so late that the unit's time lies elsewhere.
     fn is_lost(&self) -> bool {
-        let Some(line) = self.line.filter(|_| self.blocks.len() > LOST_BLOCKS) else { return false };
-        let late = |block: &Block| block.offset_s - line.offset_s(block.fastest_s) > LOST_S;
-        self.blocks.iter().rev().take(LOST_BLOCKS).all(late)
+        self.line.is_some_and(|line| {
+            self.fastest.are_late(LOST_BLOCKS, |at_s, offset_s| offset_s - line.offset_s(at_s) > LOST_S)
+        })
     }
 
     fn stamp(&mut self, raw: u64, t_read: Timestamp, device_s: f64, origin: &Origin) -> Stamp {
