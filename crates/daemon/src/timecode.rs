@@ -6,7 +6,7 @@
 use std::io;
 use std::os::fd::OwnedFd;
 use std::panic::AssertUnwindSafe;
-use std::path::Path;
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -35,6 +35,44 @@ const READ_BYTES: usize = 1 << 17;
 /// Share of full scale below which sound is silence: -60 dB.
 const LEAST_LEVEL: f32 = 1e-3;
 
+/// Why no time code is read; each says what to do.
+#[derive(Debug, thiserror::Error)]
+enum Trouble {
+    #[error("there is no program")]
+    NoProgram,
+    #[error(
+        "`{name}` does not start ({error}): install it (arecord is in the package alsa-utils), or name another program as timecode.command"
+    )]
+    NotStarted { name: String, error: io::Error },
+    #[error("{} does not open ({error}); check timecode.path and who may read it", path.display())]
+    NotOpened { path: PathBuf, error: io::Error },
+    #[error(
+        "{} is a file, whose sound was not heard now: name a FIFO or a device; `posed timecode` reads files", .0.display())]
+    IsFile(PathBuf),
+    #[error(
+        "`{line}` sends no more ({how}): run it by hand to see why; timecode.command names another program"
+    )]
+    ProgramEnded { line: String, how: String },
+    #[error("nobody writes to {} ({how}): start what does", path.display())]
+    NobodyWrites { path: PathBuf, how: String },
+    #[error("bytes come faster than time passes: it is no live source; `posed timecode` reads files")]
+    TooFast,
+    #[error("what reads it had a fault of its own; please report this")]
+    Fault,
+    #[error("the MIDI port is open, and nothing comes: start the generator, or name another port")]
+    MidiIsSilent,
+    #[error("no samples come: start what sends them")]
+    NoSamples,
+    #[error("MIDI comes, and no time code in it: have the generator send quarter frames (MTC)")]
+    MidiWithoutCode,
+    #[error(
+        "sound comes, and no time code in it: check channel {channel}, sample_rate_hz and the level (LTC is not speech)"
+    )]
+    SoundWithoutCode { channel: u16 },
+    #[error("there is only silence: start the generator, check the cable and the input")]
+    OnlySilence,
+}
+
 /// What is wrong with the source; clones share it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct TimecodeProblem(Arc<Mutex<Option<Problem>>>);
@@ -44,9 +82,9 @@ impl TimecodeProblem {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    fn set(&self, reason: Option<String>) {
-        let problem = reason
-            .map(|reason| Problem::new("timecode", format!("time code: {reason}")).with("reason", reason));
+    fn set(&self, trouble: Option<&Trouble>) {
+        let problem = trouble
+            .map(|trouble| Problem::new("timecode", format!("time code: {trouble}")).with("reason", trouble));
         let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if *kept != problem {
             match &problem {
@@ -101,11 +139,11 @@ impl TimecodeSource {
     pub(super) async fn keep_open(mut self, mut down: watch::Receiver<bool>) {
         loop {
             let served = AssertUnwindSafe(self.open_and_read()).catch_unwind();
-            let reason = tokio::select! {
+            let trouble = tokio::select! {
                 () = ended(&mut down) => return,
-                served = served => served.unwrap_or_else(|_| "what reads it had a fault of its own; please report this".to_owned()),
+                served = served => served.unwrap_or(Trouble::Fault),
             };
-            self.problem.set(Some(reason));
+            self.problem.set(Some(&trouble));
             tokio::select! {
                 () = ended(&mut down) => return,
                 () = tokio::time::sleep(RETRY) => {}
@@ -114,10 +152,10 @@ impl TimecodeSource {
     }
 
     /// Reads until the source is gone, and returns why.
-    async fn open_and_read(&mut self) -> String {
+    async fn open_and_read(&mut self) -> Trouble {
         let open = match self.open() {
             Ok(open) => open,
-            Err(reason) => return reason,
+            Err(trouble) => return trouble,
         };
         self.stream = self.stream.wrapping_add(1);
         let mut decoder = Decoder::new(&self.settings, self.stream);
@@ -130,7 +168,7 @@ impl TimecodeSource {
                 Ok(Ok(0)) => return self.gone(None),
                 Ok(Ok(length)) => {
                     if !pace.allows(t, length) {
-                        return "bytes come faster than time passes: it is no live source; `posed timecode` reads files".to_owned();
+                        return Trouble::TooFast;
                     }
                     let _ = fault_points::pass("timecode");
                     let entries = &self.inbox;
@@ -144,63 +182,52 @@ impl TimecodeSource {
                 Ok(Err(error)) => return self.gone(Some(&error)),
                 Err(_) => heard.nothing(),
             }
-            self.problem.set(heard.problem(t, &self.settings));
+            self.problem.set(heard.trouble(t, &self.settings).as_ref());
         }
     }
 
-    fn open(&self) -> Result<Open, String> {
+    fn open(&self) -> Result<Open, Trouble> {
         if let Some(program) = self.settings.program() {
             return start(&program);
         }
-        let path = self.settings.path.as_deref().unwrap_or(Path::new(""));
+        let path = self.path();
         let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::CLOEXEC | OFlags::NOCTTY;
-        let named = |error: &dyn std::fmt::Display| format!("{} does not open ({error})", path.display());
-        let opened = rustix::fs::open(path, flags, Mode::empty())
-            .map_err(|error| format!("{}; check timecode.path and who may read it", named(&error)))?;
+        let opened = rustix::fs::open(&path, flags, Mode::empty());
+        let opened =
+            opened.map_err(|error| Trouble::NotOpened { path: path.clone(), error: error.into() })?;
         // A file's bytes come without a time.
-        let bytes = pipe::Receiver::from_owned_fd_unchecked(opened).map_err(|_| {
-            format!(
-                "{} is a file, whose sound was not heard now: name a FIFO or a device; `posed timecode` reads files",
-                path.display()
-            )
-        })?;
+        let bytes = pipe::Receiver::from_owned_fd_unchecked(opened).map_err(|_| Trouble::IsFile(path))?;
         Ok(Open { bytes, _program: None })
     }
 
+    /// Where the bytes come from, where no program sends them.
+    fn path(&self) -> PathBuf {
+        self.settings.path.clone().unwrap_or_default()
+    }
+
     /// Why no more comes.
-    fn gone(&self, error: Option<&io::Error>) -> String {
+    fn gone(&self, error: Option<&io::Error>) -> Trouble {
         let how = error.map_or_else(|| "it has ended".to_owned(), ToString::to_string);
-        match (self.settings.program(), &self.settings.path) {
-            (Some(program), _) => {
-                let line = program.join(" ");
-                format!(
-                    "`{line}` sends no more ({how}): run it by hand to see why; timecode.command names another program"
-                )
-            }
-            (None, Some(path)) => format!("nobody writes to {} ({how}): start what does", path.display()),
-            (None, None) => how,
+        match self.settings.program() {
+            Some(program) => Trouble::ProgramEnded { line: program.join(" "), how },
+            None => Trouble::NobodyWrites { path: self.path(), how },
         }
     }
 }
 
 /// Starts a program whose standard output is read.
-fn start(program: &[String]) -> Result<Open, String> {
-    let Some((name, arguments)) = program.split_first() else { return Err("there is no program".to_owned()) };
-    let does_not = |error: &dyn std::fmt::Display| {
-        format!(
-            "`{name}` does not start ({error}): install it (arecord is in the package alsa-utils), or name another program as \
-             timecode.command"
-        )
-    };
+fn start(program: &[String]) -> Result<Open, Trouble> {
+    let Some((name, arguments)) = program.split_first() else { return Err(Trouble::NoProgram) };
+    let does_not = |error: io::Error| Trouble::NotStarted { name: name.clone(), error };
     let mut command = Command::new(name);
     command.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null());
-    let mut child = command.spawn().map_err(|error| does_not(&error))?;
+    let mut child = command.spawn().map_err(does_not)?;
     let output = child.stdout.take();
     let program = Program(Some(child));
-    let output = OwnedFd::from(output.ok_or_else(|| does_not(&"it has no output"))?);
-    let flags = rustix::fs::fcntl_getfl(&output).map_err(|error| does_not(&error))?;
-    rustix::fs::fcntl_setfl(&output, flags | OFlags::NONBLOCK).map_err(|error| does_not(&error))?;
-    let bytes = pipe::Receiver::from_owned_fd_unchecked(output).map_err(|error| does_not(&error))?;
+    let output = OwnedFd::from(output.ok_or_else(|| does_not(io::Error::other("it has no output")))?);
+    let flags = rustix::fs::fcntl_getfl(&output).map_err(|error| does_not(error.into()))?;
+    rustix::fs::fcntl_setfl(&output, flags | OFlags::NONBLOCK).map_err(|error| does_not(error.into()))?;
+    let bytes = pipe::Receiver::from_owned_fd_unchecked(output).map_err(does_not)?;
     Ok(Open { bytes, _program: Some(program) })
 }
 
@@ -328,28 +355,21 @@ impl Heard {
     }
 
     /// What an operator should know.
-    fn problem(&self, t: Timestamp, settings: &Timecode) -> Option<String> {
+    fn trouble(&self, t: Timestamp, settings: &Timecode) -> Option<Trouble> {
         let lately = |last: Option<Timestamp>| last.is_some_and(|last| last + SILENCE > t);
         let is_midi = settings.signal == TimecodeSignal::Mtc;
         if self.is_silent {
-            return Some(match is_midi {
-                true => "the MIDI port is open, and nothing comes: start the generator, or name another port"
-                    .to_owned(),
-                false => "no samples come: start what sends them".to_owned(),
-            });
+            return Some(if is_midi { Trouble::MidiIsSilent } else { Trouble::NoSamples });
         }
         if lately(self.frame) || lately(self.since) {
             return None;
         }
         Some(if is_midi {
-            "MIDI comes, and no time code in it: have the generator send quarter frames (MTC)".to_owned()
+            Trouble::MidiWithoutCode
         } else if lately(self.loud) {
-            format!(
-                "sound comes, and no time code in it: check channel {}, sample_rate_hz and the level (LTC is not speech)",
-                settings.channel
-            )
+            Trouble::SoundWithoutCode { channel: settings.channel }
         } else {
-            "there is only silence: start the generator, check the cable and the input".to_owned()
+            Trouble::OnlySilence
         })
     }
 }
