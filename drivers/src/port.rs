@@ -20,7 +20,7 @@ use tokio_serial::{ClearBuffer, ErrorKind, SerialPort, SerialStream};
 #[cfg(target_os = "linux")]
 pub use hidraw::{HidStream, is_one as is_receiver, receivers};
 pub use udp::{UdpStream, shared as shared_udp};
-pub use usb::{UsbStream, usb_units, usb_units_without_firmware};
+pub use usb::{UsbStream, UsbUnit, usb_units};
 
 /// Receivers on USB that are plugged in, by path; none on this system.
 #[cfg(not(target_os = "linux"))]

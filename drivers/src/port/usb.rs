@@ -24,29 +24,31 @@ const TRANSFER_BYTES: usize = 512;
 /// Reads that wait at the same time, so that the unit never does.
 const TRANSFERS: usize = 4;
 
-/// Units that are plugged in, as ports, sorted; empty where the system lists none. Nothing is opened.
-pub async fn usb_units() -> Vec<String> {
-    let all = nusb::list_devices().await.into_iter().flatten();
-    let known = |device: &DeviceInfo| endpoints(device.vendor_id(), device.product_id()).is_some();
-    let mut found: Vec<DeviceInfo> = all.filter(known).collect();
-    found.sort_by_key(place);
-    let name = |device: &DeviceInfo| format!("usb://{:04x}:{:04x}", device.vendor_id(), device.product_id());
-    let alone = |device: &DeviceInfo| found.iter().filter(|other| name(other) == name(device)).count() == 1;
-    found
-        .iter()
-        .map(
-            |device| if alone(device) { name(device) } else { format!("{}/{}", name(device), place(device)) },
-        )
-        .collect()
+/// A unit that is plugged in.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct UsbUnit {
+    /// Its port, as a stage file has it.
+    pub port: String,
+    /// Nothing can be read from it before somebody has loaded its firmware, which makes another number of it.
+    pub needs_firmware: bool,
 }
 
-/// Kinds of units that wait for their firmware, for a sentence to the operator.
-pub async fn usb_units_without_firmware() -> Vec<String> {
+/// Units that are plugged in, sorted by where; empty where the system lists none. Nothing is opened.
+pub async fn usb_units() -> Vec<UsbUnit> {
+    let of_polhemus = |device: &DeviceInfo| device.vendor_id() == POLHEMUS;
     let all = nusb::list_devices().await.into_iter().flatten();
-    let waits = |device: &DeviceInfo| {
-        device.vendor_id() == POLHEMUS && WITHOUT_FIRMWARE.contains(&device.product_id())
-    };
-    all.filter(waits).map(|device| format!("usb://{POLHEMUS:04x}:{:04x}", device.product_id())).collect()
+    let mut found: Vec<DeviceInfo> = all.filter(of_polhemus).collect();
+    found.sort_by_key(place);
+    let units = found.iter().filter_map(|device| {
+        let product = device.product_id();
+        let needs_firmware = WITHOUT_FIRMWARE.contains(&product);
+        (needs_firmware || endpoints(POLHEMUS, product).is_some()).then(|| {
+            let is_alone = found.iter().filter(|other| other.product_id() == product).count() == 1;
+            let at = if is_alone { String::new() } else { format!("/{}", place(device)) };
+            UsbUnit { port: format!("usb://{POLHEMUS:04x}:{product:04x}{at}"), needs_firmware }
+        })
+    });
+    units.collect()
 }
 
 /// Endpoints out and in of a unit that is known.

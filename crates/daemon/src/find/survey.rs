@@ -9,7 +9,7 @@ use super::{ANNOUNCED, Answer, Kind, announcements, ask, open_imus, radio_tracke
 use crate::clock::StageClock;
 use posed_drivers::flock::Family;
 use posed_drivers::flock::examine::Failure;
-use posed_drivers::port::{self, Options, PortError};
+use posed_drivers::port::{self, Options, PortError, UsbUnit};
 use posed_protocol::{FoundPort, FoundSensor};
 use posed_stage::PortAddress;
 
@@ -107,17 +107,16 @@ pub async fn network() -> Vec<FoundPort> {
 /// Units that have a USB port of their own.
 async fn units_on_usb() -> Vec<FoundPort> {
     let wanted = Wanted { baud: None, kind: Some(Kind::Polhemus) };
-    let mut reports = Vec::new();
-    for port in port::usb_units().await {
-        reports.push(one(&port, wanted, UNIT).await);
-    }
     let fix = "install the maker's driver for Linux, whose udev rule loads it, and plug the unit in again; or use its serial port";
-    reports.extend(port::usb_units_without_firmware().await.into_iter().map(|port| FoundPort {
-        port,
-        problem: Some("the unit waits for its firmware".to_owned()),
-        fix: Some(fix.to_owned()),
-        ..FoundPort::default()
-    }));
+    let mut reports = Vec::new();
+    for UsbUnit { port, needs_firmware } in port::usb_units().await {
+        reports.push(if needs_firmware {
+            let problem = Some("the unit waits for its firmware".to_owned());
+            FoundPort { port, problem, fix: Some(fix.to_owned()), ..FoundPort::default() }
+        } else {
+            one(&port, wanted, UNIT).await
+        });
+    }
     reports
 }
 
