@@ -276,7 +276,7 @@ impl Pipeline {
         }
         // Before the frames that it dates.
         if let Some(timecode) = &mut self.timecode {
-            timecode.tell(now, emit);
+            timecode.report(now, emit);
         }
         self.close_frames(emit);
         while let Some(sensor) = self.bodies.iter_mut().find_map(Wearer::take_tapped) {

@@ -36,8 +36,7 @@ impl TimecodeTrack {
     /// Of a recording with this front part, as its stage file has it.
     pub fn new(header: &Header) -> Self {
         let settings = Stage::parse(&header.stage_toml).ok().and_then(|stage| stage.timecode);
-        let follower =
-            settings.map(|settings| Follower::new(settings.delay_ms * 1e-3, settings.pictures_per_frame()));
+        let follower = settings.map(|settings| settings.follower());
         Self { follower, begun: header.begun, frames: 0, first: None }
     }
 

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-use posed_timecode::Rate;
+use posed_timecode::{Follower, Rate};
 
 /// SMPTE time code of cameras and sound recorders: as sound (LTC) or from a MIDI port (MTC).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
@@ -74,8 +74,8 @@ impl Timecode {
         }))
     }
 
-    /// Pictures that a frame of the code stands for.
-    pub fn pictures_per_frame(&self) -> u8 {
-        self.rate.map_or(1, Rate::pictures_per_frame)
+    /// What finds where this code lies on the host's clock.
+    pub fn follower(&self) -> Follower {
+        Follower::new(self.delay_ms * 1e-3, self.rate.map_or(1, Rate::pictures_per_frame))
     }
 }

@@ -3,11 +3,10 @@
 //! By what IMUs measure alone: of a magnetic sensor's positions a second derivative is noise, and its filter's velocity jumps where
 //! records were missing.
 
+use posed_geometry::GRAVITY_M_S2;
 use posed_stage::output::Estimate;
 use serde::Serialize;
 
-/// What gravity is, m/s².
-const GRAVITY_M_S2: f64 = 9.81;
 /// Least height of a peak, m/s²: brisk movements of an arm stay below, clapping hands reach several times that.
 const LEAST_M_S2: f64 = 25.0;
 /// How many times the usual acceleration around it a peak is, and how far around is looked, s: in movement that is brisk all the
