@@ -7,18 +7,18 @@ use posed_protocol::HostClock;
 #[cfg(target_os = "linux")]
 pub(super) fn ask() -> Option<HostClock> {
     // SAFETY: all numbers, of which zeros are what changes nothing.
-    let mut told: libc::timex = unsafe { std::mem::zeroed() };
+    let mut answer: libc::timex = unsafe { std::mem::zeroed() };
     // SAFETY: it fills in what it is given, and with `modes` 0 changes nothing.
-    let state = unsafe { libc::adjtimex(&raw mut told) };
+    let state = unsafe { libc::adjtimex(&raw mut answer) };
     if state < 0 {
         return None;
     }
     let seconds = |us: libc::c_long| us as f64 * 1e-6;
     Some(HostClock {
-        synchronised: state != libc::TIME_ERROR && told.status & libc::STA_UNSYNC == 0,
-        max_error_s: seconds(told.maxerror),
-        estimated_error_s: seconds(told.esterror),
-        tai_offset_s: (told.tai != 0).then_some(told.tai),
+        synchronised: state != libc::TIME_ERROR && answer.status & libc::STA_UNSYNC == 0,
+        max_error_s: seconds(answer.maxerror),
+        estimated_error_s: seconds(answer.esterror),
+        tai_offset_s: (answer.tai != 0).then_some(answer.tai),
     })
 }
 

@@ -85,8 +85,8 @@ struct Kept {
     holding: Holding<Event>,
     /// Newest states that come seldom.
     status: Option<Arc<[u8]>>,
-    /// What hubs were last told of it without having asked, and when.
-    told: Option<(Health, i64)>,
+    /// What was last reported of it to hubs that had not asked, and when.
+    reported: Option<(Health, i64)>,
     jobs: Option<Arc<[u8]>>,
     /// The newest status as its public message.
     status_json: Vec<u8>,
@@ -276,10 +276,12 @@ impl posed_daemon::link::Feed for Feed {
 impl Kept {
     /// Whether hubs that have not asked for the status are to have this one: another state than they know, or old news.
     fn is_news(&mut self, health: Health, t_us: i64) -> bool {
-        let is_known =
-            self.told.as_ref().is_some_and(|(told, told_us)| *told == health && t_us - told_us < STATUS_US);
+        let is_known = self
+            .reported
+            .as_ref()
+            .is_some_and(|(reported, at_us)| *reported == health && t_us - at_us < STATUS_US);
         if !is_known {
-            self.told = Some((health, t_us));
+            self.reported = Some((health, t_us));
         }
         !is_known
     }

@@ -336,8 +336,8 @@ fn rounded_status(status: &Status, stamp: &Stamp) -> Status {
     status
 }
 
-fn timecode_body(told: &output::Timecode, stamp: &Stamp) -> Timecode {
-    let output::Timecode { t, relation, jumps } = told;
+fn timecode_body(timecode: &output::Timecode, stamp: &Stamp) -> Timecode {
+    let output::Timecode { t, relation, jumps } = timecode;
     Timecode {
         t_s: stamp.t_s(),
         state: relation.state(*t),

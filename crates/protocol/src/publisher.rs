@@ -446,10 +446,10 @@ mod tests {
         let (code, second) = (timecode(0), estimate(1_020_000_000));
         let mut publisher = Publisher::new(&stage(), Fields::default());
         assert!(!text(&mut publisher, &Payload::Estimate(&estimate(0))).contains("timecode"));
-        let told = text(&mut publisher, &Payload::Timecode(&code));
+        let written = text(&mut publisher, &Payload::Timecode(&code));
         assert!(
-            told.contains(r#""state":"locked","rate":"25""#) && told.contains("10:00:00:00.00"),
-            "{told}"
+            written.contains(r#""state":"locked","rate":"25""#) && written.contains("10:00:00:00.00"),
+            "{written}"
         );
         assert!(
             text(&mut publisher, &Payload::Estimate(&second)).ends_with(r#","timecode":"10:00:01:00.50"}"#)

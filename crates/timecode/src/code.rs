@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rate_is_told_by_its_counting_and_its_pace() {
+    fn a_rate_is_identified_by_its_counting_and_its_pace() {
         for rate in Rate::ALL {
             for drift in [-1e-4, 0.0, 1e-4] {
                 assert_eq!(Rate::nearest(rate.counting(), rate.hz() * (1.0 + drift)), Some(rate));

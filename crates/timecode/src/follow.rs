@@ -14,7 +14,7 @@ use crate::{Counting, Frame, Reading, Relation};
 const AGREEING: usize = 4;
 /// Frames that may be missing between them.
 const MISSED: u32 = 4;
-/// How far the pace of frames may be off while they are told apart, as a share: sound is exact, 24 and 25 differ by 4 %.
+/// How far the pace of frames may be off while they are distinguished, as a share: sound is exact, 24 and 25 differ by 4 %.
 const PACE: f64 = 0.02;
 const PACE_OF_MIDI: f64 = 0.2;
 /// A reading further off the line of its samples is damaged or has jumped, s, and for each second since the one before.
@@ -241,10 +241,10 @@ impl Follower {
     fn agrees(&mut self, waiting: &Waiting, reading: &Reading) -> bool {
         let follows = self.waiting.last().and_then(|before| {
             let known = self.waiting_counting.filter(|_| self.waiting.len() > 1);
-            let told = reading.frames_per_s.map_or(&[24, 25, 30][..], |_| &[]);
-            let told =
-                told.iter().copied().chain(reading.frames_per_s.filter(|told| [24, 25, 30].contains(told)));
-            let mut countings = told
+            let stated = |counted: &u8| reading.frames_per_s.is_none_or(|stated| stated == *counted);
+            let mut countings = [24, 25, 30]
+                .into_iter()
+                .filter(stated)
                 .map(|frames_per_s| Counting { frames_per_s, drop: reading.drop })
                 .filter(|counting| known.is_none_or(|known| known == *counting));
             countings.find(|counting| {

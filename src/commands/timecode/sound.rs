@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::Error;
 
-/// Samples that are looked at together, s: gaps are told to so much.
+/// Samples that are looked at together, s: gaps are known to so much.
 const PIECE_S: f64 = 0.01;
 /// Time without a frame that is a gap, s: longer than two frames of any rate.
 const GAP_S: f64 = 0.1;
@@ -156,7 +156,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_gap_and_a_jump_are_told_and_the_rate_is_known() {
+    fn a_gap_and_a_jump_are_reported_and_the_rate_is_known() {
         let rate = Rate::Video30Drop;
         let mut encoder = ltc::Encoder::new(48_000.0, rate.hz(), rate.counting(), Frame::new(1, 0, 0, 0))
             .with_user_bits(0x1234_abcd);

@@ -103,8 +103,8 @@ async fn messages_and_takes_carry_the_code_and_a_generator_that_stops_is_carried
     client.subscribe(&["sensors", "timecode"]).await;
     let generator = tokio::task::spawn_blocking(move || Generator::start(&fifo)).await.unwrap();
     let locked = |message: &Value| message["type"] == "timecode" && message["state"] == "locked";
-    let told = until(&mut client, "locked", |message| locked(message) && message["rate"] == "25").await;
-    assert!(told["sigma_s"].as_f64().unwrap() < 0.01 && told["jumps"] == 0, "{told}");
+    let code = until(&mut client, "locked", |message| locked(message) && message["rate"] == "25").await;
+    assert!(code["sigma_s"].as_f64().unwrap() < 0.01 && code["jumps"] == 0, "{code}");
     ok(&mut client, record_start("take")).await;
     let mut compared = 0;
     while compared < 100 {

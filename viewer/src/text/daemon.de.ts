@@ -22,7 +22,7 @@ export const PROBLEMS: Record<string, (values: Values) => string | null> = {
   recording: ({ reason }) => `Die Aufnahme ist abgebrochen: ${reason}`,
   ros2_router: ({ at }) => `Unter ${at} antwortet kein Router von ROS 2: ihn mit \`ros2 run rmw_zenoh_cpp rmw_zenohd\` starten, oder seine Adresse als ros2.connect angeben.`,
   ros2_slow: ({ lost }) => `zenoh ist zu langsam für diese Stage: In der letzten Sekunde sind ${lost} Nachrichten an ROS 2 weggefallen.`,
-  timecode_rate: ({ code, told }) => `Der Timecode zählt ${code} Bilder je Sekunde, und timecode.rate sagt ${told}: den Generator oder die Stage-Datei berichtigen.`,
+  timecode_rate: ({ code, stated }) => `Der Timecode zählt ${code} Bilder je Sekunde, und timecode.rate sagt ${stated}: den Generator oder die Stage-Datei berichtigen.`,
   tracking: ({ times, begun_anew }) => `Die Verfolgung hatte einen eigenen Fehler und ging ohne die Bytes weiter, die ihn brachten (${times} Mal${begun_anew === "0" ? "" : `, ${begun_anew} Mal ganz von vorn, mit neu eingerichteten Geräten`}): bitte mit einer Aufnahme melden.`,
   vanished: () => "Der Hub sieht diese Stage nicht mehr: Ihr Daemon ist beendet, oder das Netz zu ihr ist unterbrochen. Was zu sehen ist, ist alt.",
   version: ({ version }) => `Dort läuft posed ${version}, das eine andere Fassung der Sprache des Hubs spricht.`,

@@ -361,14 +361,14 @@ impl Health {
             problems.push(Problem::new("load", sentence).with("late_ms", late_ms));
         }
         problems.extend(self.timecode.as_ref().and_then(TimecodeProblem::get));
-        if let (Some(told), Some(code)) = self.timecode_rate
-            && told != code
+        if let (Some(stated), Some(code)) = self.timecode_rate
+            && stated != code
         {
             let sentence = format!(
-                "the time code is that of {code} pictures per second, and timecode.rate says {told}: set the generator or the \
+                "the time code is that of {code} pictures per second, and timecode.rate says {stated}: set the generator or the \
                  stage file right"
             );
-            problems.push(Problem::new("timecode_rate", sentence).with("code", code).with("told", told));
+            problems.push(Problem::new("timecode_rate", sentence).with("code", code).with("stated", stated));
         }
         let (left_out, begun_anew) = self.recovered;
         if left_out > 0 {
