@@ -214,7 +214,7 @@ impl posed_daemon::link::Feed for Feed {
         let head = Head { run: about.run, last_event_id: kept.last_event_id, stamp: *stamp };
         let whole = || write_fed(&head, item, &Selection::whole());
         match item {
-            Item::Estimate(_) | Item::Body(_) | Item::Truth(_) | Item::Timecode(_) => {
+            _ if topic.is_frequent() => {
                 let due = wishes.due(stamp, |selection| write_fed(&head, item, selection));
                 if let Some(bytes) = due.flatten() {
                     self.send(Out::Frame(bytes));
@@ -243,7 +243,13 @@ impl posed_daemon::link::Feed for Feed {
                     self.send(Out::State(bytes));
                 }
             }
-            Item::Sessions(_) | Item::Rewind => {}
+            // Frequent, or nobody else's business.
+            Item::Estimate(_)
+            | Item::Body(_)
+            | Item::Truth(_)
+            | Item::Timecode(_)
+            | Item::Sessions(_)
+            | Item::Rewind => {}
         }
         let is_public = wanted.topics[topic.index()].load(Ordering::Relaxed);
         if is_public || topic == Topic::Status {
@@ -348,6 +354,27 @@ mod tests {
         let status = Stamp { topic: Topic::Status, body: 0, t_us: 1 << 20, event_id: None, timecode: None };
         feed.publish(&Item::Status(Box::default()), &status, &names);
         assert!(matches!(taken.try_recv(), Ok(Out::State(_))));
+    }
+
+    #[test]
+    fn what_is_frequent_is_sent_only_where_it_is_asked_for() {
+        let about = StageInfo { key: "posed/a".to_owned(), run: 1, stage_toml: String::new() };
+        let (feed, taken) = Feed::new(about);
+        feed.wanted().feed.store(true, Ordering::Relaxed);
+        let item = Item::Estimate(Default::default());
+        let frequent: Vec<Topic> = Topic::ALL.into_iter().filter(|topic| topic.is_frequent()).collect();
+        assert_eq!(frequent, [Topic::Sensors, Topic::Body, Topic::Truth, Topic::Timecode]);
+        for topic in frequent {
+            let stamp = Stamp { topic, body: 0, t_us: 0, event_id: None, timecode: None };
+            feed.publish(&item, &stamp, &Names::default());
+            assert_eq!(taken.try_iter().count(), 0, "{topic:?}");
+            let mut wish = Wish::default();
+            wish.add(topic, None);
+            feed.wishes().put("hub", Some(wish));
+            feed.publish(&item, &stamp, &Names::default());
+            assert!(matches!(taken.try_recv(), Ok(Out::Frame(_))), "{topic:?}");
+            feed.wishes().put("hub", None);
+        }
     }
 
     #[test]

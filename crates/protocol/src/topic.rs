@@ -87,6 +87,11 @@ impl Topic {
             Self::Faults | Self::Keyframes | Self::Segments | Self::Exercise | Self::Field | Self::Marks
         )
     }
+
+    /// Whether its messages come many times a second: a stage sends them to a hub only where somebody there has asked for them.
+    pub const fn is_frequent(self) -> bool {
+        matches!(self, Self::Sensors | Self::Body | Self::Truth | Self::Timecode)
+    }
 }
 
 #[cfg(test)]

@@ -36,8 +36,6 @@ use posed_stage::Stage;
 
 /// Items that wait for a stage's distributor.
 const WAITING: usize = 256;
-/// Topics that a stage sends only where they are asked for.
-const FRAMES: [Topic; 3] = [Topic::Sensors, Topic::Body, Topic::Truth];
 /// What stages and clients have reported to the hub's directory and what waits for it.
 const DIRECTORY_REPORTS: usize = 1024;
 
@@ -258,7 +256,7 @@ async fn distribute(
             incoming = items.recv() => {
                 let Some(Incoming { item, stamp, held }) = incoming else { return };
                 distributor.follow(&stamp);
-                if FRAMES.contains(&stamp.topic) && !demand.has(stamp.topic) {
+                if stamp.topic.is_frequent() && !demand.has(stamp.topic) {
                     // It was under way as the last one left, and would be taken for the newest by the next one to come.
                     continue;
                 }
@@ -293,8 +291,8 @@ async fn distribute(
             _ = looks.tick() => {
                 let given_up = demand.look();
                 // What comes seldom comes without being asked for, and stays true until the next.
-                let frames = given_up.into_iter().filter(|topic| FRAMES.contains(topic));
-                frames.for_each(|topic| distributor.forget(topic));
+                let frequent = given_up.into_iter().filter(|topic| topic.is_frequent());
+                frequent.for_each(|topic| distributor.forget(topic));
             }
             () = ended(&mut shutdown) => return,
         }
