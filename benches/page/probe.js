@@ -20,7 +20,7 @@ window.probe = (() => {
   let arrived_ms = null;
   /** Answers to looks. */
   let looks = 0;
-  /** Whether a pose has come, and when the frame after it was over. */
+  /** Whether a pose has come, of a frame or of a look, and when the frame after it was over. */
   let has_posed = false;
   let first_ms = null;
 
@@ -53,8 +53,10 @@ window.probe = (() => {
   const jump = (data) => {
     if (typeof data !== "string") return;
     has_posed ||= data.includes('"type":"sensors"');
-    if (pressed_ms === null) return;
+    if (pressed_ms === null && has_posed) return;
     const message = JSON.parse(data);
+    has_posed ||= message.type === "ok" && asked.has(message.id);
+    if (pressed_ms === null) return;
     if (message.type === "ok" && asked.has(message.id)) looks++, answered_ms ??= performance.now() - pressed_ms;
     // Frames of before are on their way still.
     if (message.type === "sensors" && wished_s !== null && Math.abs(message.t_s - wished_s) < 0.5) arrived_ms ??= performance.now() - pressed_ms;

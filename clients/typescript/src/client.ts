@@ -207,9 +207,10 @@ export class Client {
       this.attempts = 0;
       this.options.onState?.("open", "");
     }
-    this.options.onMessage?.(message);
     this.listeners.get(message.type)?.forEach((hear) => hear(message as never));
+    // The stage answers while a page is being made of its greeting.
     if (message.type === "hello") this.greet(message);
+    this.options.onMessage?.(message);
   }
 
   /** Goes on where it was, with what listeners have chosen after the greeting, too. */

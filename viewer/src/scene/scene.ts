@@ -21,6 +21,8 @@ export class Scene {
   constructor(says: string, ground: THREE.Object3D = grid()) {
     // The picture is kept between frames, so that it can be copied.
     this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true, preserveDrawingBuffer: true });
+    // A program that does not link is a fault of three.js, and to ask whether it does waits for all that is being drawn.
+    this.renderer.debug.checkShaderErrors = import.meta.env.DEV;
     this.leastMs = drawsInSoftware(this.renderer.getContext()) ? SOFTWARE_MS : 0;
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     this.camera.up.set(0, 0, 1);

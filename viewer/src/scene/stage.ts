@@ -24,6 +24,8 @@ const NEAR_PX = 22;
 /** How far the camera stands, and how high the middle of the picture is where nobody is there, m. */
 const AWAY_M = 3.1;
 const MIDDLE_M = 0.92;
+/** How long a room without anybody or anything waits to be drawn, ms: where the processor draws, it would hold up the first picture. */
+const EMPTY_MS = 1500;
 /** Width by height of a picture that a person with arms spread fills. */
 const NARROW = 0.75;
 
@@ -48,6 +50,7 @@ export class StageScene {
   private readonly hips = new THREE.Vector3();
   private readonly at = new THREE.Vector3();
   private changed = true;
+  private readonly emptyFromMs = performance.now() + EMPTY_MS;
 
   /** Throws where the browser has no WebGL. */
   constructor(private readonly model: Model, says: string) {
@@ -138,6 +141,7 @@ export class StageScene {
 
   /** Once per picture. */
   render(): void {
+    if (!this.model.seenSensors && this.model.bodies.size === 0 && performance.now() < this.emptyFromMs) return;
     this.scene.render(this.changed);
     this.changed = false;
   }

@@ -1,6 +1,7 @@
 // The recording that is played: where it stands, its speed, the loop, and the hand that scrubs in it.
 
 import { link, live, model } from "../page.svelte";
+import type { StatusMessage } from "../protocol";
 import { Looks } from "./looks";
 import type { Window } from "./window";
 
@@ -26,6 +27,8 @@ class Player {
   private before: Speed = 1;
   /** The job of a jump that has not arrived; NaN before its number is known, null: none. */
   private jump = $state.raw<{ job: number; to_s: number; arrived: boolean } | null>(null);
+  /** Of a stage that has just answered nothing is known; where a recording begins is looked at until its first frame comes. */
+  private opens: "unknown" | "looked" | null = null;
   private settle = 0;
   private readonly looks = new Looks((t_s) => link.request({ type: "replay.look", t_s }), (look) => model.look(look));
 
@@ -36,10 +39,14 @@ class Player {
         // Another recording, or the same over a new connection.
         this.jump = this.hand_s = this.loop = null;
         this.looks.forget();
+        this.opens = "unknown";
       }
+      if (this.opens === "unknown" && message.type === "status") this.open(message);
       // One that ends the recording is not passed by any frame.
       if (message.type === "status" && message.replay?.ended != null) this.again(Math.max(message.replay.t_s, this.loop?.to_s ?? 0));
       if (message.type === "sensors") {
+        if (this.opens === "looked" && !this.scrubs) this.arrive();
+        this.opens = null;
         this.again(message.t_s);
         if (jump && Math.abs(message.t_s - jump.to_s) < THERE_S) this.jump = { ...jump, arrived: true };
       }
@@ -81,6 +88,14 @@ class Player {
     if (replay.ended != null) return replay.t_s;
     const newest_s = model.sensors?.t_s;
     return newest_s === undefined || newest_s > replay.end_s ? replay.t_s : newest_s;
+  }
+
+  /** Shows where it begins: a pipeline may take a second before it says anything. */
+  private open({ replay }: StatusMessage): void {
+    this.opens = null;
+    if (!replay || this.scrubs || model.sensors) return;
+    this.opens = "looked";
+    this.looks.want(replay.t_s);
   }
 
   /** The hand is at a time: the picture follows. */
