@@ -4,7 +4,7 @@
 //! cargo bench --profile demo --bench take                 an hour of `posed demo`, made in minutes
 //! cargo bench --profile demo --bench take -- 600          ten minutes
 //! cargo bench --profile demo --bench take -- take.mcap    any recording
-//! cargo bench --profile demo --bench take -- --keep take.mcap   only makes the hour, for other benches
+//! cargo bench --profile demo --bench take -- --keep take.mcap [SECONDS]   only makes it, for other benches
 //! ```
 //! The take is made in simulated time, with everything that a live stage records. Times are those of a client of `posed replay` on the same
 //! machine: to its greeting, to the first poses, to the answer of `replay.look` at 300 times all over the take, and to the end of jumps, at once and after the
@@ -39,7 +39,8 @@ const PACE: Duration = Duration::from_millis(25);
 fn main() {
     let mut arguments = std::env::args().skip(1).skip_while(|argument| argument != "--keep");
     if let (Some(_), Some(path)) = (arguments.next(), arguments.next()) {
-        return make(&PathBuf::from(path), 3600.0);
+        let seconds = arguments.next().and_then(|argument| argument.parse().ok());
+        return make(&PathBuf::from(path), seconds.unwrap_or(3600.0));
     }
     let argument = std::env::args().skip(1).find(|argument| !argument.starts_with("--"));
     let folder = tempfile::tempdir().unwrap();

@@ -82,7 +82,6 @@ class POSED_OT_import_take(bpy.types.Operator, ImportHelper):
     bl_idname, bl_label, bl_description = "posed.import_take", "Import a take", "Makes armatures and empties of a recording of posed, with their actions"
     filename_ext = ".mcap"
     filter_glob: bpy.props.StringProperty(default="*.mcap", options={"HIDDEN"})
-    preview: bpy.props.BoolProperty(name="Five frames a second", description="At once and without the program: what the recording shows to viewers")
 
     def execute(self, context):
         import posed
@@ -90,7 +89,7 @@ class POSED_OT_import_take(bpy.types.Operator, ImportHelper):
         from .takes import load
 
         try:
-            made = load(self.filepath, context.scene.posed.program or None, self.preview)
+            made = load(self.filepath, context.scene.posed.program or None)
         except (posed.PosedError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -8,12 +8,12 @@ from . import actions
 from .live import empty_of
 from .skeleton import Skeleton
 
-USABLE = ("ok", "repaired", "extrapolated", "shown")
+USABLE = ("ok", "repaired", "extrapolated")
 
 
-def load(path, program=None, preview=False):
-    """Objects by name, with their actions; frame 1 is the take's first frame. See `posed.read` for `program` and `preview`."""
-    take = posed.read(path, frames="numpy", program=program, preview=preview)
+def load(path, program=None):
+    """Objects by name, with their actions; frame 1 is the take's first frame. See `posed.read` for `program`."""
+    take = posed.read(path, frames="numpy", program=program)
     body, sensors = take.table("body"), take.table("sensors")
     from_s = min((float(table["t_s"][0]) for table in (body, sensors) if len(table["t_s"])), default=0.0)
     segments = [name.removesuffix("_state") for name in body if name.endswith("_state")]

@@ -10,10 +10,13 @@ import shutil
 import subprocess
 import sys
 
+import msgspec
 import numpy as np
 import pytest
 
 import posed
+from posed._columns import Coded, Columns
+from posed.take import Table
 
 
 def export(take: pathlib.Path, to: str, into: pathlib.Path) -> pathlib.Path:
@@ -49,54 +52,90 @@ def test_body_and_events_are_those_of_the_messages(take: pathlib.Path, tmp_path:
     assert len(found.measured) == raw > 500
 
 
-def test_once_read_it_is_kept_and_polars_has_the_same(take: pathlib.Path) -> None:
-    first = posed.read(take).body
-    assert (take.parent / "exports" / "client.columns.npz").exists()
-    again = posed.read(take, frames="polars", program="/no/such/program").body
-    assert again.columns == list(first.columns) and np.array_equal(again["t_s"].to_numpy(), first["t_s"])
+def equal(one: posed.Take[Table], other: posed.Take[Table]) -> None:
+    for name in ("sensors", "measured", "body", "events"):
+        ours, theirs = one.table(name), other.table(name)
+        assert list(ours) == list(theirs) and len(ours["t_s"]) == len(theirs["t_s"]), name
+        for column in ours:
+            same = ours[column] == theirs[column]
+            assert (same | ((ours[column] != ours[column]) & (theirs[column] != theirs[column]))).all(), (name, column)
 
 
-def test_what_was_kept_of_another_recording_is_not_used(take: pathlib.Path, tmp_path: pathlib.Path) -> None:
-    other = tmp_path / take.name
-    other.write_bytes(take.read_bytes())
-    (tmp_path / "exports").mkdir()
-    kept = tmp_path / "exports" / "client.columns.npz"
-    kept.write_bytes((take.parent / "exports" / "client.columns.npz").read_bytes())
-    os.utime(other, ns=(1, 1))
+def test_a_recording_needs_no_program_and_polars_has_the_same(take: pathlib.Path) -> None:
+    pandas, polars = posed.read(take, program="/no/such/program").body, posed.read(take, frames="polars", program="/no/such/program").body
+    assert polars.columns == list(pandas.columns) and np.array_equal(polars["t_s"].to_numpy(), pandas["t_s"])
+    assert not (take.parent / "exports").exists()
+
+
+def test_its_columns_are_those_of_a_replay_and_of_a_recording_with_all_messages(take: pathlib.Path, tmp_path: pathlib.Path) -> None:
+    found = posed.read(take, frames="numpy")
+    equal(found, posed.read(take, frames="numpy", replay=True, keep=False))
+    assert not (take.parent / "exports").exists()
+    equal(found, posed.read(export(take, "mcap", tmp_path / "full.mcap"), frames="numpy", program="/no/such/program"))
+
+
+def torn(take: pathlib.Path, folder: pathlib.Path) -> pathlib.Path:
+    """As a power cut leaves it."""
+    broken = folder / take.name
+    broken.write_bytes(take.read_bytes()[: -take.stat().st_size // 4])
+    return broken
+
+
+def test_one_that_broke_off_is_replayed_and_what_that_makes_is_kept(take: pathlib.Path, tmp_path: pathlib.Path) -> None:
+    broken = torn(take, tmp_path)
     with pytest.raises(FileNotFoundError):
-        posed.read(other, program="/no/such/program")
+        posed.read(broken, program="/no/such/program")
+    whole, part = posed.read(take, frames="numpy"), posed.read(broken, frames="numpy")
+    rows = len(part.body["t_s"])
+    assert 10 < rows < len(whole.body["t_s"]) and np.array_equal(part.body["t_s"], whole.body["t_s"][:rows])
+    assert [file.name for file in (tmp_path / "exports").iterdir()] == ["client.columns.mcap"]
+    equal(part, posed.read(broken, frames="numpy", program="/no/such/program"))
+    # What was kept of an older recording, or is damaged, is not used.
+    kept = tmp_path / "exports" / "client.columns.mcap"
     kept.write_bytes(b"damaged")
     with pytest.raises(FileNotFoundError):
-        posed.read(other, program="/no/such/program")
+        posed.read(broken, program="/no/such/program")
+    equal(part, posed.read(broken, frames="numpy"))
+    os.utime(kept, ns=(1, 1))
+    with pytest.raises(FileNotFoundError):
+        posed.read(broken, program="/no/such/program")
 
 
-def test_a_recording_with_all_messages_needs_no_program(take: pathlib.Path, tmp_path: pathlib.Path) -> None:
-    full = export(take, "mcap", tmp_path / "full.mcap")
-    ours, theirs = posed.read(full, frames="numpy", program="/no/such/program"), posed.read(take, frames="numpy")
-    for one, other in ((getattr(ours, name), getattr(theirs, name)) for name in ("sensors", "measured", "body", "events")):
-        assert list(one) == list(other)
-        for name in one:
-            same = one[name] == other[name]
-            assert (same | ((one[name] != one[name]) & (other[name] != other[name]))).all(), name
-
-
-def test_a_preview_shows_what_was_good_without_the_program(take: pathlib.Path) -> None:
-    preview, whole = posed.read(take, preview=True, program="/no/such/program"), posed.read(take).body
-    assert 5 < len(preview.body) < len(whole) / 10
-    at = np.searchsorted(whole["t_s"], preview.body["t_s"].to_numpy() - 1e-6)
-    assert np.allclose(whole["t_s"].to_numpy()[at], preview.body["t_s"], atol=1e-6)
-    for column in ("torso_x_m", "shank_l_qw"):
-        shown, known = preview.body[column].to_numpy(), whole[column].to_numpy()[at]
-        assert np.allclose(shown, known, atol=1e-5, equal_nan=True) and np.isfinite(shown).any(), column
-    imus = preview.sensors[preview.sensors["sensor"].str.startswith("imu_")]
-    assert len(imus) > 5 and imus["x_m"].isna().all() and imus["qw"].notna().all()
-
-
-def test_without_the_program_it_says_what_to_do(take: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_program_it_says_what_to_do(take: pathlib.Path, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("POSED")
     monkeypatch.setenv("PATH", "")
     with pytest.raises(posed.NoProgram, match="posed export"):
-        posed.read(take, keep=False)
+        posed.read(torn(take, tmp_path))
+
+
+UNKNOWN = -(2**31)
+
+
+def part(of: str, rows: list[list[int]], **more: object) -> bytes:
+    """A block's table, packed as a recording has it."""
+    numbers = np.array(rows, dtype=np.int64).T
+    differences = np.diff(numbers, axis=1, prepend=0).astype(np.uint32).astype("<u4")
+    planes = differences.reshape(-1, 1).view(np.uint8).T
+    return msgspec.msgpack.encode({"of": of, "states": ["ok", "missing"], "rows": len(rows), "width": len(rows[0]), "values": planes.tobytes(), **more})
+
+
+def test_two_bodies_and_time_code_are_read_from_blocks() -> None:
+    pose = [0, 100_000, -50_000, UNKNOWN, 1_000_000, 0, 0, 0]
+    code = [36_000, 1250, 1]
+    blocks = [
+        part("body", [[1, 500_000, *code, 0, 90_000, *pose], [1, 600_000, UNKNOWN, UNKNOWN, UNKNOWN, 2, -1, *pose]], name="anna", angles=["elbow_r_flexion"], segments=["torso"]),
+        part("body", [[1, 500_000, *code, 1, *pose]], name="ben", angles=[], segments=["pelvis"]),
+        part("body", [[2, 0, *code, 3, *pose]], name="ben", angles=[], segments=["pelvis"]),
+    ]
+    broken, whole = Columns(blocks), Columns([*blocks, msgspec.msgpack.encode({"of": "end"})])
+    assert (broken.whole, whole.whole) == (False, True)
+    plain = {name: column.plain() if isinstance(column, Coded) else column for name, column in whole.body().items()}
+    assert plain["t_s"].tolist() == [1.5, 1.5, 1.6, 2.0] and plain["body"].tolist() == ["anna", "ben", "anna", "ben"]
+    assert plain["timecode"].tolist() == ["10:00:00;12.50", "10:00:00;12.50", "", "10:00:00;12.50"]
+    assert plain["torso_state"].tolist() == ["ok", "missing", "ok", "missing"] and plain["pelvis_state"].tolist() == ["missing", "ok", "missing", "ok"]
+    assert np.array_equal(plain["elbow_r_flexion_deg"], np.array([90, np.nan, -0.001, np.nan], np.float32), equal_nan=True)
+    assert np.array_equal(plain["torso_x_m"], np.array([1, np.nan, 1, np.nan], np.float32), equal_nan=True) and np.isnan(plain["pelvis_z_m"]).all()
+    assert len(whole.sensors()["t_s"]) == len(whole.measured()["t_s"]) == len(whole.events()["t_s"]) == 0
 
 
 def test_labels_count_from_the_first_frame(take: pathlib.Path) -> None:

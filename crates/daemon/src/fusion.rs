@@ -17,7 +17,7 @@ use super::jobs::{Job, Jobs};
 use super::library::{Held, InUse, Use};
 use super::observers::{Excerpt, GuidedCalibration, Observer, Observers, Samples, Source, Times};
 use super::ports::PortCommand;
-use super::recorder::{Recorder, RecorderState};
+use super::recorder::{Gathering, Recorder, RecorderState};
 use super::server::{Hub, Refusal, Reply};
 use posed_fusion::body::SEGMENTS;
 use posed_motion::fault_map::FaultMap;
@@ -25,7 +25,7 @@ use posed_motion::fault_map::Frames;
 use posed_pipeline::{InputError, SupervisedPipeline};
 use posed_protocol::foxglove::Views;
 use posed_protocol::{Answer, Payload, Publisher, RecordingBegun, schema};
-use posed_recording::{Digester, Header, Snapshot, WriteError};
+use posed_recording::{Header, Snapshot, WriteError};
 use posed_stage::input::{Entry, Input, Model, Request, SensorIndex};
 use posed_stage::output::{OutcomeKind, Output};
 use posed_stage::{BodyIndex, RecordingContent};
@@ -271,8 +271,8 @@ pub(super) struct Fusion {
     pub(super) entries: u64,
     /// What every recording of this run begins with.
     pub(super) recording_header: Header,
-    /// What gathers the digest of each of them, as yet empty.
-    pub(super) digester: Digester,
+    /// What is gathered of each of them, as yet empty.
+    pub(super) gathering: Gathering,
     /// Where it is said which files are in use.
     pub(super) in_use: InUse,
 }
@@ -381,6 +381,7 @@ impl Fusion {
                         }
                     };
                     views.publish(&payload, &stamp, |channel, json| recorder.view(channel, stamp.t(), json));
+                    recorder.published(&payload, &stamp);
                 }
                 None => _ = publisher.skip(&payload),
             }
@@ -503,8 +504,8 @@ impl Fusion {
             tell(begun.map(|()| result).map_err(|error| RecordError::File { path: file, error }));
         };
         let held = self.in_use.hold(&path, Use::Recorded);
-        let digester = self.digester.begun_at(header.begun);
-        match Recorder::start(path, make_folder, (header, digester), schema::of_topics, begun) {
+        let gathering = self.gathering.begun_at(header.begun);
+        match Recorder::start(path, make_folder, (header, gathering), schema::of_topics, begun) {
             Ok(recorder) => {
                 self.observers.health.recording_started();
                 self.recording = Some(Recording { recorder, name, started, job, _held: held });

@@ -58,7 +58,6 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use posed_drivers::Timestamp;
 use posed_drivers::port::Port;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::{mpsc, watch};
@@ -85,6 +84,7 @@ use self::link::Link;
 use self::models::{Library, Loaded};
 use self::observers::Observers;
 use self::ports::{DevicePort, PortTask};
+use self::recorder::Gathering;
 use self::server::phones::{Gate, PhonePlace, PhoneSocket, Phones};
 use self::server::{BindError, Server, Sides};
 use self::service::Service;
@@ -95,7 +95,6 @@ use posed_motion::segments::Model;
 use posed_pipeline::{PipelineError, SupervisedPipeline};
 use posed_protocol::foxglove::Views;
 use posed_protocol::{Fields, Problem, Publisher, Status, Topic};
-use posed_recording::Digester;
 use posed_stage::Stage;
 use posed_stage::input::{Entry, Input};
 use posed_stage::layout::BodyLayout;
@@ -304,7 +303,7 @@ impl Daemon {
             ending: Vec::new(),
             entries: 0,
             recording_header: posed_recording::Header::new(&stage, &stage_toml, clock.epoch_utc_ns()),
-            digester: Digester::new(&stage, Timestamp::ZERO),
+            gathering: Gathering::new(&stage),
             in_use: library.in_use().clone(),
         };
         let history = fusion.observers.health.history();

@@ -18,7 +18,9 @@ use posed_drivers::Timestamp;
 
 use super::fault_points;
 use posed_protocol::foxglove::Channel;
-use posed_recording::{Digester, Header, WriteError, Writer, sync_folder_of};
+use posed_protocol::{Payload, Stamp};
+use posed_recording::{Block, Columns, Digester, Header, WriteError, Writer, sync_folder_of};
+use posed_stage::Stage;
 use posed_stage::input::{DeviceIndex, Entry, Input};
 use posed_stage::output::Output;
 
@@ -67,8 +69,8 @@ pub(super) struct Recorder {
     sender: Option<Sender<Job>>,
     /// Bytes that may wait.
     most_bytes: usize,
-    /// Gathers what happens in it; gone once nothing more is taken.
-    digester: Option<Digester>,
+    /// Gone once nothing more is taken.
+    gathering: Option<Gathering>,
     shared: Arc<Shared>,
     thread: JoinHandle<()>,
 }
@@ -81,7 +83,29 @@ struct Shared {
     /// Bytes written, once it has begun.
     bytes: OnceLock<Arc<AtomicU64>>,
     /// Of one that was ended in order: what goes behind its last entry.
-    digester: Mutex<Option<Digester>>,
+    gathering: Mutex<Option<Gathering>>,
+}
+
+/// What is gathered while it is recorded.
+#[derive(Clone, Debug)]
+pub(super) struct Gathering {
+    /// What happens in it.
+    pub(super) digester: Digester,
+    /// What follows from its log, for readers without a pipeline, where the stage wants it.
+    pub(super) columns: Option<Columns>,
+}
+
+impl Gathering {
+    /// Of recordings of a stage.
+    pub(super) fn new(stage: &Stage) -> Self {
+        let columns = stage.recording.columns.then(|| Columns::new(stage));
+        Self { digester: Digester::new(stage, Timestamp::ZERO), columns }
+    }
+
+    /// One that has gathered nothing, of a recording of the same stage that begins then.
+    pub(super) fn begun_at(&self, begun: Timestamp) -> Self {
+        Self { digester: self.digester.begun_at(begun), columns: self.columns.clone() }
+    }
 }
 
 /// Names of topics with the JSON Schemas of their messages.
@@ -92,6 +116,7 @@ enum Job {
     Entry(Entry),
     Message { topic: &'static str, t: Timestamp, json: Vec<u8> },
     View { channel: Arc<Channel>, t: Timestamp, json: Vec<u8> },
+    Columns(Box<Block>),
     Transmitted { device: DeviceIndex, t: Timestamp, bytes: Vec<u8> },
 }
 
@@ -105,7 +130,7 @@ impl Recorder {
     pub(super) fn start(
         path: PathBuf,
         make_folder: bool,
-        (header, digester): (Header, Digester),
+        (header, gathering): (Header, Gathering),
         schemas: fn() -> Schemas,
         begun: impl FnOnce(Result<(), WriteError>) + Send + 'static,
     ) -> io::Result<Self> {
@@ -132,21 +157,21 @@ impl Recorder {
             })
         };
         let room = Room { items: QUEUE_ITEMS, bytes: QUEUE_BYTES };
-        Self::start_with(begin, room, digester, begun)
+        Self::start_with(begin, room, gathering, begun)
     }
 
     /// Begins a recording into what `begin` makes: the file, and what brings to the disk what was flushed into it.
     fn start_with<W: Write, S: FnMut() -> io::Result<()> + Send>(
         begin: impl FnOnce() -> Result<(Writer<W>, S), WriteError> + Send + 'static,
         room: Room,
-        digester: Digester,
+        gathering: Gathering,
         begun: impl FnOnce(Result<(), WriteError>) + Send + 'static,
     ) -> io::Result<Self> {
         let shared = Arc::new(Shared {
             state: Mutex::new(RecorderState::Recording),
             queued: AtomicUsize::new(0),
             bytes: OnceLock::new(),
-            digester: Mutex::default(),
+            gathering: Mutex::default(),
         });
         let (sender, receiver) = bounded(room.items);
         let thread = {
@@ -168,8 +193,8 @@ impl Recorder {
                 }
             })?
         };
-        let digester = Some(digester);
-        Ok(Self { sender: Some(sender), most_bytes: room.bytes, digester, shared, thread })
+        let gathering = Some(gathering);
+        Ok(Self { sender: Some(sender), most_bytes: room.bytes, gathering, shared, thread })
     }
 
     /// Appends an entry, before the messages that follow from it.
@@ -177,15 +202,23 @@ impl Recorder {
         if self.sender.is_some() {
             self.send(Job::Entry(entry.clone()));
         }
-        if let Some(digester) = &mut self.digester {
-            digester.entry(entry.t);
+        if let Some(gathering) = &mut self.gathering {
+            gathering.digester.entry(entry.t);
         }
     }
 
     /// Looks at what follows from an entry, for the digest.
     pub(super) fn output(&mut self, output: &Output<'_>) {
-        if let Some(digester) = &mut self.digester {
-            digester.output(output);
+        if let Some(gathering) = &mut self.gathering {
+            gathering.digester.output(output);
+        }
+    }
+
+    /// Looks at what is published, for the columns.
+    pub(super) fn published(&mut self, payload: &Payload<'_>, stamp: &Stamp) {
+        let columns = self.gathering.as_mut().and_then(|gathering| gathering.columns.as_mut());
+        if let Some(block) = columns.and_then(|columns| columns.publish(payload, stamp)) {
+            self.send(Job::Columns(Box::new(block)));
         }
     }
 
@@ -223,7 +256,7 @@ impl Recorder {
     /// Ends the recording; the thread writes what is queued and the index. Does not wait for it.
     pub(super) fn stop(&mut self, reason: &str) {
         if self.sender.is_some() {
-            *self.shared.digester() = self.digester.take();
+            *self.shared.gathering() = self.gathering.take();
             self.end(RecorderState::Stopped { reason: reason.to_owned() });
         }
     }
@@ -258,7 +291,7 @@ impl Recorder {
                 self.end(RecorderState::Failed { reason: reason.to_owned() });
             }
             // The thread has said why.
-            Err(TrySendError::Disconnected(_)) => (self.sender, self.digester) = (None, None),
+            Err(TrySendError::Disconnected(_)) => (self.sender, self.gathering) = (None, None),
         }
     }
 
@@ -269,8 +302,8 @@ impl Recorder {
             *current = state;
         }
         drop(current);
-        // What may lack the end of an entry has no digest: it can be made.
-        (self.sender, self.digester) = (None, None);
+        // What may lack the end of an entry has no digest and no end of its columns: they can be made.
+        (self.sender, self.gathering) = (None, None);
     }
 }
 
@@ -280,9 +313,9 @@ impl Shared {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn digester(&self) -> MutexGuard<'_, Option<Digester>> {
+    fn gathering(&self) -> MutexGuard<'_, Option<Gathering>> {
         // The same.
-        self.digester.lock().unwrap_or_else(PoisonError::into_inner)
+        self.gathering.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -295,6 +328,7 @@ impl Job {
                 | Self::Message { json: bytes, .. }
                 | Self::View { json: bytes, .. }
                 | Self::Transmitted { bytes, .. } => bytes.len(),
+                Self::Columns(block) => block.size(),
                 Self::Entry(_) => 0,
             }
     }
@@ -352,8 +386,11 @@ fn run<S: FnMut() -> io::Result<()> + Send>(
         // The fusion thread is gone without a word.
         RecorderState::Recording | RecorderState::Refused { .. } => "the daemon broke off".to_owned(),
     };
-    let digester = shared.digester().take();
-    if let Some(digester) = digester {
+    let gathering = shared.gathering().take();
+    if let Some(Gathering { digester, columns }) = gathering {
+        if let Some(columns) = columns {
+            writer.columns(&columns.finish())?;
+        }
         writer.digest(&digester.finish())?;
     }
     writer.finish(&reason)?;
@@ -388,6 +425,7 @@ fn write(
                     Job::Entry(entry) => writer.entry(&entry)?,
                     Job::Message { topic, t, json } => writer.message(topic, t, &json)?,
                     Job::View { channel, t, json } => writer.view(&channel, t, &json)?,
+                    Job::Columns(block) => writer.columns(&block)?,
                     Job::Transmitted { device, t, bytes } => writer.transmitted(device, t, &bytes)?,
                 }
             }
@@ -413,20 +451,19 @@ mod tests {
     use super::*;
     use posed_recording::testing::{Full, STAGE, chunk, header};
     use posed_recording::{Ending, Item, Reader, RepairError, read_digest};
-    use posed_stage::Stage;
 
     /// More than these tests let wait.
     const AMPLE: Room = Room { items: 10_000, bytes: QUEUE_BYTES };
 
-    fn digester() -> Digester {
-        Digester::new(&Stage::parse(STAGE).unwrap(), Timestamp::ZERO)
+    fn gathering() -> Gathering {
+        Gathering::new(&Stage::parse(STAGE).unwrap())
     }
 
     /// Begins a file.
     fn start(path: &Path, schemas: fn() -> Schemas) -> Result<Recorder, WriteError> {
         let (to, begun) = bounded(1);
         let recorder =
-            Recorder::start(path.to_owned(), false, (header(), digester()), schemas, move |begun| {
+            Recorder::start(path.to_owned(), false, (header(), gathering()), schemas, move |begun| {
                 to.send(begun).unwrap();
             });
         begun.recv().unwrap().map(|()| recorder.unwrap())
@@ -445,7 +482,7 @@ mod tests {
             // Not every test waits for it.
             let _ = to.send(());
         };
-        (Recorder::start_with(begin, room, digester(), tell).unwrap(), begun)
+        (Recorder::start_with(begin, room, gathering(), tell).unwrap(), begun)
     }
 
     fn read(path: &Path) -> (Vec<Item>, Option<Ending>, Option<String>) {

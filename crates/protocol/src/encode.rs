@@ -108,7 +108,7 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
         Payload::Outcome(outcome) => {
             let t_s = stamp.t_s();
             let event_id = stamp.event_id.unwrap_or(0);
-            let t_valid_s = round::seconds(super::publisher::microseconds(outcome.t_valid));
+            let t_valid_s = round::seconds(round::microseconds(outcome.t_valid));
             match &outcome.what {
                 OutcomeKind::Fault { sensor, cause, active } => {
                     let sensor = names.sensor(*sensor).to_owned();
@@ -297,7 +297,7 @@ fn write<T: Serialize + ?Sized>(encoding: Encoding, value: &T, out: &mut Vec<u8>
 fn screw(segment: &ScrewSegment) -> ScrewMotion {
     let Screw { axis_point_m, axis_direction, angle_rad, advance_m } = segment.screw;
     ScrewMotion {
-        since_s: round::seconds(super::publisher::microseconds(segment.since)),
+        since_s: round::seconds(round::microseconds(segment.since)),
         from_m: round::each(round::POSITION, segment.from_m),
         axis_point_m: round::each(round::POSITION, axis_point_m),
         axis_direction: round::each(round::QUATERNION, axis_direction),

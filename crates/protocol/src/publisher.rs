@@ -76,14 +76,14 @@ impl Counters {
     pub fn stamp(&mut self, payload: &Payload<'_>) -> Stamp {
         let topic = payload.topic();
         let t_us = match payload {
-            Payload::Estimate(estimate) => microseconds(estimate.t_valid),
-            Payload::Body(body) => microseconds(body.t_valid),
-            Payload::Truth(truth) => microseconds(truth.t_valid),
-            Payload::Outcome(outcome) => microseconds(outcome.t_decided),
-            Payload::Status(status) => microseconds(Timestamp::from_secs_f64(status.t_s)),
-            Payload::Jobs(jobs) => microseconds(Timestamp::from_secs_f64(jobs.t_s)),
-            Payload::Sessions(sessions) => microseconds(Timestamp::from_secs_f64(sessions.t_s)),
-            Payload::Timecode(timecode) => microseconds(timecode.t),
+            Payload::Estimate(estimate) => round::microseconds(estimate.t_valid),
+            Payload::Body(body) => round::microseconds(body.t_valid),
+            Payload::Truth(truth) => round::microseconds(truth.t_valid),
+            Payload::Outcome(outcome) => round::microseconds(outcome.t_decided),
+            Payload::Status(status) => round::microseconds(Timestamp::from_secs_f64(status.t_s)),
+            Payload::Jobs(jobs) => round::microseconds(Timestamp::from_secs_f64(jobs.t_s)),
+            Payload::Sessions(sessions) => round::microseconds(Timestamp::from_secs_f64(sessions.t_s)),
+            Payload::Timecode(timecode) => round::microseconds(timecode.t),
         };
         if let Payload::Timecode(timecode) = payload {
             self.timecode = Some(timecode.relation);
@@ -144,11 +144,6 @@ mod by_index {
         known.ok_or_else(|| de::Error::custom("more topics than this version knows"))?.copy_from_slice(&read);
         Ok(values)
     }
-}
-
-/// To the nearest microsecond.
-pub(super) fn microseconds(t: Timestamp) -> i64 {
-    (t.as_nanos().saturating_add(500)).div_euclid(1000)
 }
 
 /// Writes the JSON messages of all topics as a client would get them who misses nothing.

@@ -1,16 +1,18 @@
 //! Rounding to the stated resolution. The quotient of two exact doubles is the double nearest to the decimal, so its
 //! shortest text has no more digits than the resolution asks for.
 
+use posed_drivers::Timestamp;
+
 /// Steps per metre of a position.
-pub(crate) const POSITION: f64 = 1e5;
+pub const POSITION: f64 = 1e5;
 /// Steps per metre of a standard deviation.
-pub(crate) const SIGMA: f64 = 1e6;
+pub const SIGMA: f64 = 1e6;
 /// Steps per unit of a quaternion component.
-pub(crate) const QUATERNION: f64 = 1e6;
+pub const QUATERNION: f64 = 1e6;
 /// Steps per unit of a velocity (m/s or rad/s).
-pub(crate) const VELOCITY: f64 = 1e4;
+pub const VELOCITY: f64 = 1e4;
 /// Steps per degree of an angle.
-pub(crate) const DEGREES: f64 = 1e3;
+pub const DEGREES: f64 = 1e3;
 /// Steps per hertz of a rate.
 pub(crate) const RATE: f64 = 1e3;
 /// Steps per second of an age.
@@ -50,6 +52,11 @@ pub(crate) fn significant(value: f64) -> f64 {
         let steps = 10f64.powi(-digits);
         (value / steps).round() * steps
     }
+}
+
+/// To the nearest microsecond since the stage's epoch, as messages say times.
+pub fn microseconds(t: Timestamp) -> i64 {
+    (t.as_nanos().saturating_add(500)).div_euclid(1000)
 }
 
 /// Microseconds as seconds.

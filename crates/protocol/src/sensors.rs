@@ -270,7 +270,7 @@ impl Serialize for Entry<'_> {
 fn change(change: &output::Change) -> Change {
     let steps = round::score(change.threshold);
     Change {
-        t_s: round::seconds(super::publisher::microseconds(change.t_valid)),
+        t_s: round::seconds(round::microseconds(change.t_valid)),
         score: round::to(steps, change.score),
         threshold: round::to(steps, change.threshold),
     }
@@ -280,7 +280,7 @@ fn measured(measured: &output::Measured) -> Measured {
     let inertial = measured.inertial.unwrap_or_default();
     let vector = |values: Option<[f64; 3]>| values.map(|values| round::each(round::QUATERNION, values));
     Measured {
-        t_s: round::seconds(super::publisher::microseconds(measured.t_valid)),
+        t_s: round::seconds(round::microseconds(measured.t_valid)),
         position_m: measured.position_m.map(|p| round::each(round::POSITION, p)),
         orientation_wxyz: measured.orientation_wxyz.map(|q| round::each(round::QUATERNION, q)),
         button: measured.button,

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use clap::ValueEnum;
 use nalgebra::Isometry3;
+use serde::Deserialize;
 
 use super::ending::ReadError;
 use super::header::Header;
@@ -46,6 +47,7 @@ pub enum Format {
     Sto,
     Mot,
     Mcap,
+    Columns,
 }
 
 /// What to write of a recording: always one file.
@@ -74,7 +76,7 @@ pub enum ExportError {
     Table(#[from] TableError),
     /// As a recording.
     #[error(transparent)]
-    Full(#[from] FullError),
+    Anew(#[from] AnewError),
     /// As a body.
     #[error(transparent)]
     Movement(#[from] MovementError),
@@ -85,7 +87,7 @@ impl ExportError {
     pub fn is_cancelled(&self) -> bool {
         let read = match self {
             Self::Table(TableError::Recording { source, .. }) => source,
-            Self::Full(FullError::Read(source)) | Self::Movement(MovementError::Read(source)) => source,
+            Self::Anew(AnewError::Read(source)) | Self::Movement(MovementError::Read(source)) => source,
             _ => return false,
         };
         matches!(read, ReadError::Cancelled)
@@ -137,7 +139,9 @@ impl Export {
             "names of bones are chosen for bvh; the other formats have names of their own"
         } else if *model != OpensimModel::Rajagopal && *format != Format::Mot {
             "a model is chosen for mot"
-        } else if body.is_some() && matches!(format, Format::Jsonl | Format::Csv | Format::Mcap) {
+        } else if body.is_some()
+            && matches!(format, Format::Jsonl | Format::Csv | Format::Mcap | Format::Columns)
+        {
             "a body is chosen for formats that show one; this one holds all of them"
         } else {
             return Ok(());
@@ -154,11 +158,13 @@ impl Export {
             Format::Bvh if self.bones != BoneNames::Posed => word(self.bones.to_possible_value()),
             Format::Mot if self.model != OpensimModel::Rajagopal => word(self.model.to_possible_value()),
             Format::Mcap => Some("full".to_owned()),
+            Format::Columns => Some("columns".to_owned()),
             _ => None,
         };
         // A body may be called anything.
         let plain = |name: &String| name.replace(|c: char| !c.is_alphanumeric() && c != '-' && c != '_', "-");
-        let ending = word(self.format.to_possible_value());
+        let format = if self.format == Format::Columns { Format::Mcap } else { self.format };
+        let ending = word(format.to_possible_value());
         let parts = [Some(stem.to_owned()), self.body.as_ref().map(plain), how, ending];
         parts.into_iter().flatten().collect::<Vec<_>>().join(".")
     }
@@ -179,7 +185,8 @@ impl Export {
         let format = match self.format {
             Format::Jsonl => return Ok(jsonl(recording, output, progress)?),
             Format::Csv => return Ok(csv(recording, output, self.frame, progress)?),
-            Format::Mcap => return Ok(full(recording, output, progress)?),
+            Format::Mcap => return Ok(anew(recording, output, RecordingContent::Full, progress)?),
+            Format::Columns => return Ok(anew(recording, output, RecordingContent::Log, progress)?),
             Format::Bvh => animation::Format::Bvh(self.bones),
             Format::Trc => animation::Format::Trc,
             Format::Glb => animation::Format::Glb,
@@ -220,9 +227,9 @@ pub fn jsonl(
     Ok(lines)
 }
 
-/// Why a recording cannot be written with all that follows from it.
+/// Why a recording cannot be written anew.
 #[derive(Debug, thiserror::Error)]
-pub enum FullError {
+pub enum AnewError {
     /// It cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
@@ -231,18 +238,19 @@ pub enum FullError {
     Write(#[from] WriteError),
 }
 
-/// Writes a recording anew with every message and all channels for viewers at the full rate, made from its log; returns the
-/// number of messages. A torn recording gives what it has. `progress` receives the bytes of the recording read so far and says whether to go on.
+/// Writes a recording anew, as this version makes it of the log: with as much beside the log as `content` says, its columns and its digest; returns the
+/// number of messages that follow from it. A torn recording gives what it has. `progress` receives the bytes of the recording read so far and says whether to go on.
 ///
 /// # Errors
 /// The recording cannot be read, is of another version, or the file cannot be written; nothing is left behind.
-pub fn full(
+pub fn anew(
     recording: &Path,
     output: &Path,
+    content: RecordingContent,
     mut progress: impl FnMut(u64) -> bool,
-) -> Result<u64, FullError> {
+) -> Result<u64, AnewError> {
     let mut reader = Reader::open(recording)?;
-    let header = Header { content: RecordingContent::Full, ..reader.header().clone() };
+    let header = Header { content, ..reader.header().clone() };
     let file = AtomicFile::create(output).map_err(WriteError::from)?;
     let mut scribe = Scribe::new(file, header)?;
     let mut messages = 0;
@@ -260,7 +268,7 @@ pub fn full(
     Ok(messages)
 }
 
-/// Writes the filtered poses of a recording as CSV; returns the number of rows. Columns: `t` (capture time, s), `sensor`, `x,y,z`
+/// Writes the filtered poses of a recording as CSV; returns the number of rows. Columns: `t` (capture time, s), of a stage with time code `timecode`, `sensor`, `x,y,z`
 /// (m), `qw,qx,qy,qz` (sensor to `frame`) and `state`; a row for every sensor with a pose in a `sensors` message, suspect ones
 /// too. For [`Frame::Transmitter`] poses are taken back from the room by where the transmitter stood at that time. `progress`
 /// receives the bytes of the recording read so far.
@@ -280,7 +288,9 @@ pub fn csv(
         Frame::Room => None,
         Frame::Transmitter => Some(Transmitter::at_beginning(take.header()).map_err(failed)?),
     };
-    let columns = PoseColumns { sensor: true, orientation: true, state: true };
+    let stage = Stage::parse(&take.header().stage_toml).ok();
+    let timecode = stage.is_some_and(|stage| stage.timecode.is_some());
+    let columns = PoseColumns { sensor: true, timecode, orientation: true, state: true };
     let mut writer = PoseWriter::create(output, columns)?;
     let mut rows = 0;
     // Holds the rows of one message, and the sensors' names.
@@ -299,8 +309,9 @@ pub fn csv(
                 if let Some(transmitter) = &transmitter {
                     poses.rows.iter_mut().for_each(|row| transmitter.transform(row));
                 }
+                let code = Coded::of(&message.json).map_err(failed)?;
                 for row in &poses.rows {
-                    writer.row(poses.name(row), row)?;
+                    writer.row(poses.name(row), code.timecode, row)?;
                 }
                 rows += poses.rows.len() as u64;
             }
@@ -309,6 +320,20 @@ pub fn csv(
     }
     writer.finish()?;
     Ok(rows)
+}
+
+/// The time code of a message.
+#[derive(Deserialize)]
+struct Coded<'a> {
+    #[serde(default)]
+    timecode: Option<&'a str>,
+}
+
+impl<'a> Coded<'a> {
+    fn of(json: &'a [u8]) -> Result<Self, ReadError> {
+        serde_json::from_slice(json)
+            .map_err(|error| ReadError::NotARecording(format!("a `sensors` message cannot be read: {error}")))
+    }
 }
 
 /// Ends what is not to go on.

@@ -30,6 +30,7 @@
 //! | `/output/DEVICE/bytes` | raw | what was transmitted |
 //! | `/posed/TOPIC` | JSON | a message as the websocket publishes it at the full rate |
 //! | `/tf`, `/scene/...`, `/log`, ... | JSON | the same for viewers, see [`posed_protocol::foxglove`]; skipped by our own reader |
+//! | `/columns` | MessagePack | what moves and what happens, as columns, for readers without a pipeline, see [`Columns`]; skipped as well |
 //! | `/input/log` | bundle | pieces of the topics of `/input` and `/output`, in order |
 //!
 //! By its content (`[recording] content` of the stage file) a file is one of two kinds. `full` has all of these but the last.
@@ -49,6 +50,7 @@ mod atomic_file;
 mod brief;
 mod bundle;
 mod chunks;
+mod columns;
 mod compare;
 mod digest;
 pub mod export;
@@ -83,6 +85,7 @@ mod tests;
 pub use atomic_file::{AtomicFile, sync_folder_of};
 pub use brief::Brief;
 pub use chunks::Chunks;
+pub use columns::{Block, Columns};
 pub use compare::{Comparison, Difference, Golden, GoldenError, is_replayed};
 pub use digest::{Digester, digest_file, keep_digest, make_digest, read_digest};
 pub use ending::{Ending, ReadError};

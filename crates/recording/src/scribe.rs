@@ -7,6 +7,7 @@ use std::io::Write;
 
 use posed_drivers::Timestamp;
 
+use super::columns::Columns;
 use super::digest::Digester;
 use super::header::Header;
 use super::machine::Machine;
@@ -23,6 +24,7 @@ pub struct Scribe<W: Write> {
     views: Views,
     content: RecordingContent,
     digester: Digester,
+    columns: Columns,
     writer: Writer<W>,
 }
 
@@ -37,9 +39,10 @@ impl<W: Write> Scribe<W> {
         let mut views = Views::new(&stage, header.epoch_utc_ns, content);
         header.models.iter().for_each(|model| views.swap(model));
         let digester = Digester::new(&stage, header.begun);
+        let columns = Columns::new(&stage);
         let mut writer = Writer::new(sink, header)?;
         schema::of_topics().iter().for_each(|(topic, schema)| writer.declare(topic, schema));
-        Ok(Self { machine, views, content, digester, writer })
+        Ok(Self { machine, views, content, digester, columns, writer })
     }
 
     /// The pipeline as it stands.
@@ -54,7 +57,8 @@ impl<W: Write> Scribe<W> {
     pub fn entry(&mut self, entry: &Entry) -> Result<u64, WriteError> {
         self.writer.entry(entry)?;
         let mut written = Ok(0);
-        let Self { machine: Machine { pipeline, publisher }, views, content, digester, writer } = self;
+        let Self { machine: Machine { pipeline, publisher }, views, content, digester, columns, writer } =
+            self;
         digester.entry(entry.t);
         pipeline.push(entry, &mut |output| {
             digester.output(&output);
@@ -76,6 +80,11 @@ impl<W: Write> Scribe<W> {
                     written = Err(error);
                 }
             });
+            if let (Ok(_), Some(Err(error))) =
+                (&written, columns.publish(&payload, &stamp).map(|block| writer.columns(&block)))
+            {
+                written = Err(error);
+            }
         });
         written
     }
@@ -96,12 +105,13 @@ impl<W: Write> Scribe<W> {
         self.writer.flush()
     }
 
-    /// Ends the recording with its digest; `reason`, one sentence, states why it ended.
+    /// Ends the recording with the last of its columns and its digest; `reason`, one sentence, states why it ended.
     ///
     /// # Errors
     /// The sink refuses.
     pub fn finish(self, reason: &str) -> Result<W, WriteError> {
-        let Self { mut writer, digester, .. } = self;
+        let Self { mut writer, columns, digester, .. } = self;
+        writer.columns(&columns.finish())?;
         writer.digest(&digester.finish())?;
         writer.finish(reason)
     }

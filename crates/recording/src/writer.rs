@@ -17,6 +17,7 @@ use mcap::{Attachment, McapError, Schema};
 use posed_drivers::Timestamp;
 
 use super::bundle::{Bundle, Piece};
+use super::columns::{self, Block};
 use super::digest;
 use super::header::{Header, METADATA_END, Part};
 use super::machine::MachineError;
@@ -70,6 +71,12 @@ pub enum WriteError {
     /// Something that the format cannot hold.
     #[error("the recording cannot hold this: {0}")]
     Format(String),
+}
+
+impl From<rmp_serde::encode::Error> for WriteError {
+    fn from(error: rmp_serde::encode::Error) -> Self {
+        Self::Format(error.to_string())
+    }
 }
 
 impl From<io::Error> for WriteError {
@@ -217,33 +224,30 @@ impl<W: Write> Writer<W> {
     pub fn entry(&mut self, entry: &Entry) -> Result<(), WriteError> {
         let mut scratch = std::mem::take(&mut self.scratch);
         scratch.clear();
-        let pack = |result: Result<(), rmp_serde::encode::Error>| {
-            result.map_err(|error| WriteError::Format(error.to_string()))
-        };
         let (place, data): (Destination<'_>, &[u8]) = match &entry.input {
             Input::Bytes { device, bytes } => (Destination::Device(*device, 0, "bytes"), bytes),
             Input::Line { device, event } => {
-                pack(rmp_serde::encode::write_named(&mut scratch, event))?;
+                rmp_serde::encode::write_named(&mut scratch, event)?;
                 (Destination::Device(*device, 1, "line"), &scratch)
             }
             Input::Timer => (Destination::Stage("/input/timer", "timer"), &[]),
             Input::Model(model) => {
-                pack(rmp_serde::encode::write_named(&mut scratch, model))?;
+                rmp_serde::encode::write_named(&mut scratch, model)?;
                 (Destination::Stage("/input/model", "model"), &scratch)
             }
             Input::Request(request) => {
-                pack(rmp_serde::encode::write_named(&mut scratch, request))?;
+                rmp_serde::encode::write_named(&mut scratch, request)?;
                 (Destination::Stage("/input/request", "request"), &scratch)
             }
             Input::SegmentationNetwork(bytes) => {
                 (Destination::Stage("/input/segmentation_network", "segmentation_network"), bytes)
             }
             Input::Truth(truth) => {
-                pack(rmp_serde::encode::write_named(&mut scratch, truth))?;
+                rmp_serde::encode::write_named(&mut scratch, truth)?;
                 (Destination::Stage("/input/truth", "truth"), &scratch)
             }
             Input::Timecode(reading) => {
-                pack(rmp_serde::encode::write_named(&mut scratch, reading))?;
+                rmp_serde::encode::write_named(&mut scratch, reading)?;
                 (Destination::Stage("/input/timecode", "timecode"), &scratch)
             }
         };
@@ -253,6 +257,14 @@ impl<W: Write> Writer<W> {
         written?;
         self.entries = self.entries.wrapping_add(1);
         Ok(())
+    }
+
+    /// Appends a block of columns: it is for readers without a pipeline, and no part of a replay.
+    ///
+    /// # Errors
+    /// The sink refuses, or a part of it is too large or cannot be packed.
+    pub fn columns(&mut self, block: &Block) -> Result<(), WriteError> {
+        block.each_message(|message| self.write(Destination::View(columns::TOPIC), block.t(), None, message))
     }
 
     /// Appends a message as it was published: its topic (`sensors`, not `/posed/sensors`), its stage time, its JSON text.
@@ -435,6 +447,7 @@ fn channel(
         Destination::Bundle => (Some(BUNDLE), "application/octet-stream"),
         Destination::Device(_, _, kind) | Destination::Stage(_, kind) => (Some(kind), "msgpack"),
         Destination::Published(_) => (Some("message"), "json"),
+        Destination::View(columns::TOPIC) => (None, "msgpack"),
         Destination::View(_) => (None, "json"),
     };
     let mut metadata: BTreeMap<_, _> =

@@ -616,15 +616,23 @@ fn default_repair() -> bool {
     true
 }
 
-/// Where recordings live.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
-#[serde(deny_unknown_fields)]
+/// Where recordings live, and what they hold.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct Recording {
     /// The one folder that `record.start` writes to and `replay.list` reads; absent: `recordings` beside the stage file.
     pub folder: Option<PathBuf>,
     /// What recordings hold beside the input log, from which everything else can be made anew.
-    #[serde(default)]
     pub content: RecordingContent,
+    /// Whether they hold poses, angles and events as columns, too, which are data frames at once; four fifths more of the disk. Without them a reader needs the
+    /// program, and a replay.
+    pub columns: bool,
+}
+
+impl Default for Recording {
+    fn default() -> Self {
+        Self { folder: None, content: RecordingContent::default(), columns: true }
+    }
 }
 
 /// What a recording holds beside the input log.

@@ -344,7 +344,7 @@ fn write_poses(
             let orientation_wxyz = q.map(|q| [q[0], q[1], q[2], q[3]]).filter(|q| q[0].is_finite());
             let row =
                 PoseRow { t_s: *t_s, sensor, position_m: Some(position_m), orientation_wxyz, state: None };
-            table.row(&frames.sensors[sensor], &row)?;
+            table.row(&frames.sensors[sensor], None, &row)?;
         }
     }
     table.finish()

@@ -73,6 +73,27 @@ fn fifo(folder: &Path) -> PathBuf {
     path
 }
 
+/// Every row of an exported table has the code of its time.
+fn in_a_table(folder: &Path, take: &Path, began_t_s: f64) {
+    let table = folder.join("poses.csv");
+    let export = ["export", take.to_str().unwrap(), "--to", "csv", "-o", table.to_str().unwrap()];
+    assert!(posed(export).status.success());
+    let text = std::fs::read_to_string(table).unwrap();
+    let mut rows = text.lines();
+    assert_eq!(rows.next(), Some("t,timecode,sensor,x,y,z,qw,qx,qy,qz,state"));
+    let mut compared = 0;
+    for row in rows {
+        let cells: Vec<&str> = row.split(',').collect();
+        if !cells[1].is_empty() {
+            let off_s =
+                label_s(&cells[1].into()) - 10.0 * 3600.0 - (cells[0].parse::<f64>().unwrap() - began_t_s);
+            assert!(off_s.abs() < 0.04, "{off_s}: {row}");
+            compared += 1;
+        }
+    }
+    assert!(compared > 100, "{compared}");
+}
+
 /// Seconds that a label of 25 frames says.
 fn label_s(label: &Value) -> f64 {
     let numbers: Vec<f64> =
@@ -136,6 +157,7 @@ async fn messages_and_takes_carry_the_code_and_a_generator_that_stops_is_carried
     let timecode = info.timecode.unwrap();
     assert!(info.topics["/input/timecode"] > 10 && timecode.from.starts_with("10:00:0"), "{timecode:?}");
     replays(&take);
+    in_a_table(folder.path(), &take, generator_began_s - epoch_s);
     lines_up(folder.path(), &take, generator_began_s - epoch_s);
 }
 

@@ -1,330 +1,246 @@
-"""Messages of a recording gathered into columns, and these as a file."""
+"""The columns that a recording holds, as tables of arrays.
+
+Layout and meaning are those of the project's docs/recordings.md: blocks of a few seconds, each a MessagePack map of whole numbers that are packed column by column.
+"""
 
 from __future__ import annotations
 
 import json
-import pathlib
-import zipfile
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeAlias
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from ._schema import EVENT_TOPICS
-
-VERSION = 1
-"""Of the file's layout."""
-STEP = 512
-"""Messages that are gathered as lists before they become arrays."""
+UNKNOWN = np.iinfo(np.int32).min
 # As messages are rounded: seven digits are enough of all but times.
 NUMBER = np.float32
+XYZ, WXYZ = "xyz", "wxyz"
+TIME = 5
+"""Numbers of a row's time and time code, in front of all others."""
+MISSING = "missing"
+"""The state of what is not there, of sensors and segments alike."""
 
-Vec3 = tuple[float, float, float]
-Vec4 = tuple[float, float, float, float]
-NO_VEC3: Vec3 = (np.nan,) * 3
-NO_VEC4: Vec4 = (np.nan,) * 4
-
-
-# Only what is gathered: the reader passes over the rest, which is most of it.
-class Record(msgspec.Struct, gc=False):
-    t_s: float
-    angular_velocity_rad_s: Vec3 | None = None
-    specific_force_m_s2: Vec3 | None = None
-    magnetic_field: Vec3 | None = None
+Ints: TypeAlias = npt.NDArray[np.int32]
+Quantity: TypeAlias = tuple[str, float]
+"""Name of a column, and its steps to the unit."""
 
 
-class Sensor(msgspec.Struct, gc=False):
+def _vector(names: Iterable[str], steps: float) -> list[Quantity]:
+    return [(name, steps) for name in names]
+
+
+POSE = [*_vector((f"{axis}_m" for axis in XYZ), 1e5), *_vector((f"q{axis}" for axis in WXYZ), 1e6)]
+OF_SENSOR: list[Quantity] = [
+    *POSE, ("sigma_m", 1e6), *_vector((f"v{axis}_m_s" for axis in XYZ), 1e4), *_vector((f"w{axis}_rad_s" for axis in XYZ), 1e4),
+]  # fmt: skip
+OF_RECORD = _vector((name.format(axis) for name in ("w{}_rad_s", "f{}_m_s2", "m{}") for axis in XYZ), 1e6)
+# Beside these a state, or whether there is a record, and its time.
+SENSOR, RECORD = 1 + len(OF_SENSOR), 3 + len(OF_RECORD)
+
+
+class _Table(msgspec.Struct):
+    states: list[str]
+    rows: int
+    width: int
+    values: bytes
+
+    def numbers(self, columns: slice) -> Ints:
+        """(columns, rows): packed as planes of bytes, of the differences along each column."""
+        planes = np.frombuffer(self.values, dtype=np.uint8).reshape(4, self.width, self.rows)[:, columns]
+        differences = np.ascontiguousarray(np.moveaxis(planes, 0, -1)).view("<i4")[..., 0]
+        return np.cumsum(differences, axis=1, dtype=np.int32)
+
+
+class SensorsPart(_Table, tag_field="of", tag="sensors"):
+    names: list[str]
+    imus: list[str]
+
+
+class BodyPart(_Table, tag_field="of", tag="body"):
     name: str
-    state: str
-    position_m: Vec3 | None = None
-    orientation_wxyz: Vec4 | None = None
-    sigma_m: float | None = None
-    velocity_m_s: Vec3 | None = None
-    angular_velocity_rad_s: Vec3 | None = None
-    measured: Record | None = None
+    angles: list[str]
+    segments: list[str]
 
 
-class Sensors(msgspec.Struct, tag="sensors"):
-    t_s: float
-    sensors: list[Sensor]
+class EventsPart(msgspec.Struct, tag_field="of", tag="events"):
+    messages: list[str]
 
 
-class Segment(msgspec.Struct, gc=False):
-    name: str
-    state: str
-    position_m: Vec3 | None = None
-    orientation_wxyz: Vec4 | None = None
+class EndPart(msgspec.Struct, tag_field="of", tag="end"):
+    pass
 
 
-class Joint(msgspec.Struct, gc=False):
-    name: str
-    angles_deg: dict[str, float | None]
+Part: TypeAlias = SensorsPart | BodyPart | EventsPart | EndPart
 
 
-class Body(msgspec.Struct, tag="body"):
-    t_s: float
-    name: str
-    segments: list[Segment]
-    joints: list[Joint]
+@dataclass(frozen=True)
+class Coded:
+    """A column of few texts, by their numbers: frames have a type for it that takes an eighth of the memory."""
+
+    texts: list[str]
+    codes: npt.NDArray[np.signedinteger[Any]]
+
+    def __len__(self) -> int:
+        return len(self.codes)
+
+    def plain(self) -> npt.NDArray[Any]:
+        texts: npt.NDArray[Any] = np.array(self.texts, dtype=object)
+        plain: npt.NDArray[Any] = texts[self.codes]
+        return plain
 
 
-class Kind(msgspec.Struct):
-    type: str
-
-
-class Xyz(msgspec.Struct, gc=False):
-    x: float
-    y: float
-    z: float
-    w: float = 0.0
-
-
-class Transform(msgspec.Struct, gc=False):
-    timestamp: dict[str, int]
-    child_frame_id: str
-    translation: Xyz
-    rotation: Xyz
-
-
-class Transforms(msgspec.Struct):
-    transforms: list[Transform]
+Table: TypeAlias = dict[str, npt.NDArray[Any] | Coded]
 
 
 class Columns:
-    """Arrays by name, and in `header` what is not numbers."""
+    """What the messages of the channel hold, each table as it is asked for."""
 
-    def __init__(self, header: dict[str, Any], numbers: dict[str, npt.NDArray[Any]]) -> None:
-        self.header = header
-        self.numbers = numbers
+    def __init__(self, messages: Iterable[bytes]) -> None:
+        decode = msgspec.msgpack.Decoder(Part).decode
+        self._sensors: list[SensorsPart] = []
+        self._bodies: dict[str, list[BodyPart]] = {}
+        self._events: list[str] = []
+        self.whole = False
+        """Whether they are of all of the recording."""
+        for message in messages:
+            match decode(message):
+                case SensorsPart() as part:
+                    self._sensors.append(part)
+                case BodyPart() as part:
+                    self._bodies.setdefault(part.name, []).append(part)
+                case EventsPart() as part:
+                    self._events += part.messages
+                case EndPart():
+                    self.whole = True
 
-    def save(self, path: pathlib.Path) -> None:
-        """Whole or not at all."""
-        beside = path.with_suffix(".part")
-        with beside.open("wb") as file:
-            header = np.frombuffer(json.dumps(self.header).encode(), dtype=np.uint8)
-            np.savez(file, **{"header": header, **self.numbers}, allow_pickle=False)
-        beside.replace(path)
+    @cached_property
+    def frames_s(self) -> npt.NDArray[np.float64]:
+        """Times of the sensors' frames."""
+        seconds, micros = _joined(self._sensors, slice(2)) if self._sensors else np.empty((2, 0), np.int32)
+        return _seconds(seconds, micros)
 
-    @classmethod
-    def load(cls, path: pathlib.Path, identity: str) -> Columns | None:
-        """None where it was made of another recording, by another version, or is damaged. Arrays are read when they are looked at."""
-        try:
-            numbers = np.load(path)
-            header = json.loads(numbers["header"].tobytes())
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-            return None
-        return cls(header, _Kept(numbers)) if header["identity"] == identity else None
+    def sensors(self) -> Table:
+        if not self._sensors:
+            return {"t_s": np.empty(0), "sensor": Coded([], _codes(0)), "state": Coded([], _codes(0)), **{name: np.empty(0, NUMBER) for name, _ in OF_SENSOR}}
+        names, states = self._sensors[0].names, self._sensors[0].states
+        count = len(names)
+        frames = _joined(self._sensors, slice(TIME + SENSOR * count))
+        rows = frames.shape[1]
+        numbers = frames[TIME:].reshape(count, SENSOR, rows)
 
+        def column(at: int) -> Ints:
+            return numbers[:, at].T.ravel()
 
-class _Kept(dict[str, npt.NDArray[Any]]):
-    """Arrays of a file, each read once."""
+        table: Table = {"t_s": np.repeat(self.frames_s, count)}
+        _add_timecode(table, frames, lambda codes: np.repeat(codes, count))
+        table["sensor"] = Coded(names, np.tile(np.arange(count, dtype=np.int16), rows))
+        table["state"] = Coded(states, column(0).astype(np.int8))
+        return table | {name: _units(column(1 + at), steps) for at, (name, steps) in enumerate(OF_SENSOR)}
 
-    def __init__(self, file: Any) -> None:
-        super().__init__()
-        self._file = file
+    def measured(self) -> Table:
+        imus = self._sensors[0].imus if self._sensors else []
+        if not imus:
+            return {"t_s": np.empty(0), "sensor": Coded([], _codes(0)), **{name: np.empty(0, NUMBER) for name, _ in OF_RECORD}}
+        names, count = self._sensors[0].names, len(imus)
+        numbers = _joined(self._sensors, slice(-RECORD * count, None)).reshape(count, RECORD, -1)
+        there = numbers[:, 0].T == 1
+        which = np.array([names.index(imu) for imu in imus], dtype=np.int16)
 
-    def __missing__(self, name: str) -> npt.NDArray[Any]:
-        self[name] = self._file[name]
-        return self[name]
+        def column(at: int) -> Ints:
+            found: Ints = numbers[:, at].T[there]
+            return found
 
+        table: Table = {"t_s": _seconds(column(1), column(2)), "sensor": Coded(names, which[np.nonzero(there)[1]])}
+        return table | {name: _units(column(3 + at), steps) for at, (name, steps) in enumerate(OF_RECORD)}
 
-class _Names:
-    """Numbers for names, in the order in which they come."""
+    def body(self) -> Table:
+        each = [_OneBody(parts[0], _joined(parts, slice(None))) for parts in self._bodies.values()]
+        if not each:
+            return {"t_s": np.empty(0), "body": Coded([], _codes(0))}
+        # Rows of several are in the order in which they came.
+        order = np.argsort(np.concatenate([one.came for one in each]), kind="stable") if len(each) > 1 else slice(None)
+        table: Table = {"t_s": np.concatenate([one.t_s for one in each])[order]}
+        _add_timecode(table, np.concatenate([one.times for one in each], axis=1)[:, order], lambda codes: codes)
+        names = np.concatenate([np.full(len(one.t_s), at, np.int16) for at, one in enumerate(each)])
+        table["body"] = Coded(list(self._bodies), names[order])
+        # Bodies with sensors on other segments have further ones.
+        for name, fill in {name: fill for one in each for name, fill in one.fills.items()}.items():
+            column = np.concatenate([one.columns.get(name, np.full(len(one.t_s), fill)) for one in each])[order]
+            table[name] = Coded(each[0].states, column.astype(np.int8)) if name.endswith("_state") else column.astype(NUMBER, copy=False)
+        return table
 
-    def __init__(self) -> None:
-        self.of: dict[str, int] = {}
+    def events(self) -> Table:
+        messages = [json.loads(message) for message in self._events]
 
-    def __getitem__(self, name: str) -> int:
-        return self.of.setdefault(name, len(self.of))
+        def text(*keys: str) -> npt.NDArray[Any]:
+            return np.array([next((one[key] for key in keys if isinstance(one.get(key), str)), "") for one in messages], dtype=object)
 
-
-class _Growing:
-    """A column that is appended to in steps."""
-
-    def __init__(self, dtype: Any, *shape: int) -> None:
-        self.shape = shape
-        self.dtype = dtype
-        self.parts: list[npt.NDArray[Any]] = []
-
-    def extend(self, values: Sequence[Any]) -> None:
-        self.parts.append(np.array(values, dtype=self.dtype).reshape(len(values), *self.shape))
-
-    def whole(self) -> npt.NDArray[Any]:
-        return np.concatenate(self.parts) if self.parts else np.empty((0, *self.shape), dtype=self.dtype)
-
-
-def gathered(lines: Iterable[bytes]) -> Columns:
-    """Columns of messages, each one as JSON."""
-    decode_kind = msgspec.json.Decoder(Kind).decode
-    decode_sensors = msgspec.json.Decoder(Sensors).decode
-    decode_body = msgspec.json.Decoder(Body).decode
-    names, states, bodies, events = _Names(), _Names(), _Names(), []
-    angles: dict[str, int] = {}
-    segments: dict[str, int] = {}
-    sensors_rows = _SensorsRows(names, states)
-    body_rows = _BodyRows(bodies, states, angles, segments)
-    for line in lines:
-        # The type stands in front: most messages are identified by it without a look at the rest.
-        if line.startswith(b'{"type":"sensors"'):
-            sensors_rows.add(decode_sensors(line))
-        elif line.startswith(b'{"type":"body"'):
-            body_rows.add(decode_body(line))
-        elif decode_kind(line).type in EVENT_TOPICS:
-            events.append(json.loads(line))
-    # A recording that holds messages has those of an instant by their topics.
-    events.sort(key=lambda event: event["event_id"])
-    # Names are complete once all rows are.
-    numbers = {**sensors_rows.whole(), **body_rows.whole()}
-    header = {
-        "sensors": list(names.of), "bodies": list(bodies.of), "angles": list(angles), "segments": list(segments), "states": list(states.of), "events": events,
-    }
-    return Columns(header, numbers)
-
-
-SHOWN = "shown"
-"""State of what a recording shows to viewers: it was good then, and how good is not reported."""
-
-
-def shown(lines: Iterable[bytes], epoch_ns: int) -> Columns:
-    """Columns of the transforms that a recording holds for viewers."""
-    decode = msgspec.json.Decoder(Transforms).decode
-    names, states, bodies, segments = _Names(), _Names(), _Names(), dict[str, int]()
-    sensors_rows, body_rows = _SensorsRows(names, states), _BodyRows(bodies, states, {}, segments)
-    for line in lines:
-        message = decode(line)
-        sensors: list[Sensor] = []
-        figures: dict[str, list[Segment]] = {}
-        for one in message.transforms:
-            at, q = one.translation, one.rotation
-            q_wxyz = (q.w, q.x, q.y, q.z)
-            whose, slash, name = one.child_frame_id.partition("/")
-            if whose == "sensors":
-                # An IMU, which measures no position, is shown at the room's origin to the last bit.
-                position_m = (at.x, at.y, at.z) if (at.x, at.y, at.z) != (0.0, 0.0, 0.0) else None
-                sensors.append(Sensor(name, SHOWN, position_m, q_wxyz))
-            elif slash:
-                figures.setdefault(whose, []).append(Segment(name, SHOWN, (at.x, at.y, at.z), q_wxyz))
-        if message.transforms:
-            time = message.transforms[0].timestamp
-            t_s = (time["sec"] * 1_000_000_000 + time["nsec"] - epoch_ns) * 1e-9
-            if sensors:
-                sensors_rows.add(Sensors(t_s, sensors))
-            for whose, figure in figures.items():
-                body_rows.add(Body(t_s, whose, figure, []))
-    numbers = {**sensors_rows.whole(), **body_rows.whole()}
-    header = {"sensors": list(names.of), "bodies": list(bodies.of), "angles": [], "segments": list(segments), "states": list(states.of), "events": []}
-    return Columns(header, numbers)
-
-
-class _SensorsRows:
-    def __init__(self, names: _Names, states: _Names) -> None:
-        self.names, self.states = names, states
-        self.waiting: list[Sensors] = []
-        self.frames = 0
-        self.columns = {
-            "sensors_t_s": _Growing(np.float64),
-            "sensors_frame": _Growing(np.int32),
-            "sensors_sensor": _Growing(np.int16),
-            "sensors_state": _Growing(np.int8),
-            "sensors_position_m": _Growing(NUMBER, 3),
-            "sensors_orientation_wxyz": _Growing(NUMBER, 4),
-            "sensors_sigma_m": _Growing(NUMBER),
-            "sensors_velocity_m_s": _Growing(NUMBER, 3),
-            "sensors_angular_velocity_rad_s": _Growing(NUMBER, 3),
-            "measured_t_s": _Growing(np.float64),
-            "measured_sensor": _Growing(np.int16),
-            "measured_angular_velocity_rad_s": _Growing(NUMBER, 3),
-            "measured_specific_force_m_s2": _Growing(NUMBER, 3),
-            "measured_magnetic_field": _Growing(NUMBER, 3),
+        return {
+            "t_s": np.array([one["t_s"] for one in messages], dtype=np.float64),
+            "t_valid_s": np.array([one["t_valid_s"] for one in messages], dtype=np.float64),
+            "event_id": np.array([one["event_id"] for one in messages], dtype=np.int64),
+            "topic": text("type"),
+            "event": text("event", "phase"),
+            "subject": text("subject", "sensor", "body"),
+            "label": text("label", "exercise", "cause"),
+            "message": np.array(self._events, dtype=object),
         }
 
-    def add(self, message: Sensors) -> None:
-        self.waiting.append(message)
-        if len(self.waiting) == STEP:
-            self.settle()
 
-    def settle(self) -> None:
-        waiting, self.waiting = self.waiting, []
-        column = self.columns
-        column["sensors_t_s"].extend([message.t_s for message in waiting])
-        column["sensors_frame"].extend([self.frames + at for at, message in enumerate(waiting) for _ in message.sensors])
-        self.frames += len(waiting)
-        rows = [sensor for message in waiting for sensor in message.sensors]
-        column["sensors_sensor"].extend([self.names[row.name] for row in rows])
-        column["sensors_state"].extend([self.states[row.state] for row in rows])
-        column["sensors_position_m"].extend([row.position_m or NO_VEC3 for row in rows])
-        column["sensors_orientation_wxyz"].extend([row.orientation_wxyz or NO_VEC4 for row in rows])
-        column["sensors_sigma_m"].extend([row.sigma_m for row in rows])
-        column["sensors_velocity_m_s"].extend([row.velocity_m_s or NO_VEC3 for row in rows])
-        column["sensors_angular_velocity_rad_s"].extend([row.angular_velocity_rad_s or NO_VEC3 for row in rows])
-        # Records of an IMU, with its own time.
-        raw = [(row.name, row.measured) for row in rows if row.measured and row.measured.angular_velocity_rad_s]
-        column["measured_t_s"].extend([record.t_s for _, record in raw])
-        column["measured_sensor"].extend([self.names[name] for name, _ in raw])
-        column["measured_angular_velocity_rad_s"].extend([record.angular_velocity_rad_s for _, record in raw])
-        column["measured_specific_force_m_s2"].extend([record.specific_force_m_s2 or NO_VEC3 for _, record in raw])
-        column["measured_magnetic_field"].extend([record.magnetic_field or NO_VEC3 for _, record in raw])
+class _OneBody:
+    """Columns of one body, and what stands in each where another one has it alone."""
 
-    def whole(self) -> dict[str, npt.NDArray[Any]]:
-        self.settle()
-        return {name: column.whole() for name, column in self.columns.items()}
+    def __init__(self, part: BodyPart, numbers: Ints) -> None:
+        self.states = part.states
+        self.times = numbers[:TIME]
+        self.t_s = _seconds(numbers[0], numbers[1])
+        self.came = numbers[TIME]
+        self.columns: dict[str, npt.NDArray[Any]] = {}
+        self.fills: dict[str, float] = {}
+        rest = iter(numbers[TIME + 1 :])
+        for angle in part.angles:
+            self._add(f"{angle}_deg", _units(next(rest), 1e3), np.nan)
+        for segment in part.segments:
+            state = next(rest)
+            for name, steps in POSE:
+                self._add(f"{segment}_{name}", _units(next(rest), steps), np.nan)
+            self._add(f"{segment}_state", state, part.states.index(MISSING))
+
+    def _add(self, name: str, column: npt.NDArray[Any], fill: float) -> None:
+        self.columns[name], self.fills[name] = column, fill
 
 
-class _BodyRows:
-    def __init__(self, bodies: _Names, states: _Names, angles: dict[str, int], segments: dict[str, int]) -> None:
-        self.bodies, self.states, self.angles, self.segments = bodies, states, angles, segments
-        self.waiting: list[Body] = []
-        self.parts: list[tuple[int, dict[str, npt.NDArray[Any]]]] = []
+def _codes(count: int) -> npt.NDArray[np.int16]:
+    return np.empty(count, np.int16)
 
-    def add(self, message: Body) -> None:
-        self.waiting.append(message)
-        if len(self.waiting) == STEP:
-            self.settle()
 
-    def settle(self) -> None:
-        waiting, self.waiting = self.waiting, []
-        for message in waiting:
-            # Bodies with sensors on other segments have further ones.
-            for segment in message.segments:
-                self.segments.setdefault(segment.name, len(self.segments))
-            for joint in message.joints:
-                for angle in joint.angles_deg:
-                    self.angles.setdefault(f"{joint.name}_{angle}", len(self.angles))
-        rows, missing = len(waiting), self.states["missing"]
-        part: dict[str, npt.NDArray[Any]] = {
-            "body_t_s": np.array([message.t_s for message in waiting], dtype=np.float64),
-            "body_body": np.array([self.bodies[message.name] for message in waiting], dtype=np.int16),
-            "body_angles_deg": np.full((rows, len(self.angles)), np.nan, dtype=NUMBER),
-            "body_position_m": np.full((rows, len(self.segments), 3), np.nan, dtype=NUMBER),
-            "body_orientation_wxyz": np.full((rows, len(self.segments), 4), np.nan, dtype=NUMBER),
-            "body_state": np.full((rows, len(self.segments)), missing, dtype=np.int8),
-        }
-        for row, message in enumerate(waiting):
-            at = [self.segments[segment.name] for segment in message.segments]
-            part["body_position_m"][row, at] = [segment.position_m or NO_VEC3 for segment in message.segments]
-            part["body_orientation_wxyz"][row, at] = [segment.orientation_wxyz or NO_VEC4 for segment in message.segments]
-            part["body_state"][row, at] = [self.states[segment.state] for segment in message.segments]
-            for joint in message.joints:
-                for angle, value in joint.angles_deg.items():
-                    if value is not None:
-                        part["body_angles_deg"][row, self.angles[f"{joint.name}_{angle}"]] = value
-        self.parts.append((rows, part))
+def _joined(parts: Sequence[_Table], columns: slice) -> Ints:
+    """Columns of a table, with all rows."""
+    return np.concatenate([part.numbers(columns) for part in parts], axis=1)
 
-    def whole(self) -> dict[str, npt.NDArray[Any]]:
-        self.settle()
-        names = self.parts[0][1]
-        rows = sum(count for count, _ in self.parts)
-        found = {}
-        for name in names:
-            newest = self.parts[-1][1][name]
-            fill = self.states["missing"] if newest.dtype == np.int8 else np.nan if newest.dtype == NUMBER else 0
-            column = np.full((rows, *newest.shape[1:]), fill, dtype=newest.dtype)
-            begun = 0
-            for count, part in self.parts:
-                # Earlier parts may know fewer segments.
-                column[(slice(begun, begun + count), *(slice(length) for length in part[name].shape[1:]))] = part[name]
-                begun += count
-            found[name] = column
-        return found
+
+def _seconds(seconds: Ints, micros: Ints) -> npt.NDArray[np.float64]:
+    return (seconds.astype(np.int64) * 1_000_000 + micros) / 1e6
+
+
+def _units(numbers: Ints, steps: float) -> npt.NDArray[Any]:
+    values = numbers / steps
+    values[numbers == UNKNOWN] = np.nan
+    return values.astype(NUMBER)
+
+
+def _add_timecode(table: Table, numbers: Ints, spread: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]) -> None:
+    """A column of the time code of each row, of a recording that has time code; empty where it was not known."""
+    second, frame, drop = numbers[2:TIME]
+    if (second == UNKNOWN).all():
+        return
+    texts = [
+        "" if of_day == UNKNOWN else f"{of_day // 3600:02}:{of_day // 60 % 60:02}:{of_day % 60:02}{';' if dropped else ':'}{part // 100:02}.{part % 100:02}"
+        for of_day, part, dropped in zip(second.tolist(), frame.tolist(), drop.tolist(), strict=True)
+    ]
+    distinct = {text: at for at, text in enumerate(dict.fromkeys(texts))}
+    table["timecode"] = Coded(list(distinct), spread(np.array([distinct[text] for text in texts], dtype=np.int32)))

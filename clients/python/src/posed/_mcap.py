@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import os
 import pathlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -14,6 +15,8 @@ from mcap.stream_reader import StreamReader
 
 from .errors import PosedError
 
+MAGIC = b"\x89MCAP0\r\n"
+"""What stands at both ends of the format."""
 TOPIC = "/posed/"
 
 
@@ -48,9 +51,16 @@ def messages(path: pathlib.Path) -> Iterator[bytes]:
     return _of(path, lambda topic: topic.startswith(TOPIC))
 
 
-def transforms(path: pathlib.Path) -> Iterator[bytes]:
-    """What a recording shows to viewers five times a second: `foxglove.FrameTransforms` as JSON."""
-    return _of(path, lambda topic: topic == "/tf")
+def columns(path: pathlib.Path) -> Iterator[bytes]:
+    """The blocks of its columns; none of one that broke off, whose last ones are missing."""
+    with path.open("rb") as file:
+        file.seek(-min(len(MAGIC), path.stat().st_size), os.SEEK_END)
+        is_whole = file.read() == MAGIC
+    if is_whole:
+        try:
+            yield from _of(path, lambda topic: topic == "/columns")
+        except McapError as error:
+            raise PosedError(f"{path.name} cannot be read: {error}") from error
 
 
 def _of(path: pathlib.Path, wanted: Callable[[str], bool]) -> Iterator[bytes]:

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from ._columns import SHOWN
 from .frames import USABLE
 
 if TYPE_CHECKING:
@@ -41,7 +40,7 @@ def curve(take: Take[Any], name: str) -> tuple[npt.NDArray[Any], npt.NDArray[Any
     own = table["sensor"] == sensor
     if column not in table or not own.any():
         raise KeyError(f"no column {column!r}, or no sensor {sensor!r}")
-    usable = np.isin(table["state"][own].astype(str), [*USABLE, SHOWN])
+    usable = np.isin(table["state"][own].astype(str), list(USABLE))
     return table["t_s"][own], np.where(usable, table[column][own], np.nan)
 
 

@@ -1,15 +1,12 @@
 """A recording as columns and data frames.
 
-A recording holds the devices' bytes, not poses: these follow from it by the pipeline, which is the program `posed`'s. So the first `read` of a recording has
-`posed export` make its messages anew, which takes as long as a replay, and keeps their columns in `exports/` beside it, where the daemon looks when it
-forgets a person. Every further `read` takes a moment. A recording with all messages (`[recording] content = "full"`, `posed export --to mcap`) is read
-without the program.
+A recording holds the devices' bytes, and beside them what the pipeline made of these, as columns. One that lacks them (it broke off, or a version before wrote it) is replayed
+by the program with `posed export --to columns`; what that writes is kept in `exports/` beside it, where the daemon looks when it forgets a person.
 """
 
 from __future__ import annotations
 
 import csv
-import json
 import os
 import pathlib
 import shutil
@@ -17,13 +14,14 @@ import subprocess
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeAlias, TypeVar, cast, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from ._columns import VERSION, Columns, gathered, shown
+from ._columns import Coded, Columns
+from ._columns import Table as _Columns
+from ._mcap import Beginning, begins, columns
 from .errors import NoProgram, PosedError
 
 if TYPE_CHECKING:
@@ -36,32 +34,17 @@ __all__ = ["Table", "Take", "read"]
 Table: TypeAlias = dict[str, npt.NDArray[Any]]
 """Columns by name, all of one length."""
 F = TypeVar("F")
-
-
-@dataclass(frozen=True)
-class Coded:
-    """A column of few texts, by their numbers: frames have a type for it that takes an eighth of the memory."""
-
-    texts: list[str]
-    codes: npt.NDArray[np.signedinteger[Any]]
-
-    def plain(self) -> npt.NDArray[Any]:
-        texts: npt.NDArray[Any] = np.array(self.texts, dtype=object)
-        return cast(npt.NDArray[Any], texts[self.codes])
-
-
-_Columns: TypeAlias = dict[str, npt.NDArray[Any] | Coded]
 Make: TypeAlias = Callable[[_Columns], Any]
 
-XYZ, WXYZ = "xyz", "wxyz"
 TABLES = ("sensors", "measured", "body", "events", "labels")
 
 
 class Take(Generic[F]):
     """What happened in a recording. Times are capture times, s since the stage's epoch; poses are in the room: metres, z up."""
 
-    def __init__(self, path: pathlib.Path, columns: Columns, make: Make) -> None:
+    def __init__(self, path: pathlib.Path, beginning: Beginning, columns: Columns, make: Make) -> None:
         self.path = path
+        self._beginning = beginning
         self._columns = columns
         self._make = make
         self._tables: dict[str, _Columns] = {}
@@ -69,12 +52,12 @@ class Take(Generic[F]):
     @property
     def stage(self) -> str:
         """Name of the stage."""
-        return cast(str, self._columns.header["stage"])
+        return self._beginning.stage
 
     @property
     def epoch_utc(self) -> np.datetime64:
         """The stage's epoch, from which times count."""
-        return np.datetime64(self._columns.header["epoch_utc"].removesuffix("Z"), "ns")
+        return np.datetime64(self._beginning.epoch_utc.removesuffix("Z"), "ns")
 
     def table(self, name: Literal["sensors", "measured", "body", "events", "labels"]) -> Table:
         """A table as NumPy columns, whatever the frames are."""
@@ -82,7 +65,7 @@ class Take(Generic[F]):
 
     def _table(self, name: str) -> _Columns:
         if name not in self._tables:
-            self._tables[name] = getattr(self, f"_{name}")()
+            self._tables[name] = self._labels() if name == "labels" else getattr(self._columns, name)()
         return self._tables[name]
 
     @property
@@ -126,7 +109,7 @@ class Take(Generic[F]):
         """
         into = pathlib.Path(folder)
         into.mkdir(parents=True, exist_ok=True)
-        said = {"stage": self.stage, "epoch_utc": self._columns.header["epoch_utc"]}
+        said = {"stage": self.stage, "epoch_utc": self._beginning.epoch_utc}
         for name in TABLES:
             _polars(self._table(name)).write_parquet(into / f"{name}.parquet", compression="zstd", metadata=said)
         return into
@@ -150,57 +133,8 @@ class Take(Generic[F]):
 
         return write(self, pathlib.Path(root), subject, task, session, run, body)
 
-    def _sensors(self) -> _Columns:
-        found, names = self._columns.numbers, self._columns.header["sensors"]
-        table: _Columns = {
-            "t_s": found["sensors_t_s"][found["sensors_frame"]],
-            "sensor": Coded(names, found["sensors_sensor"]),
-            "state": Coded(self._columns.header["states"], found["sensors_state"]),
-        }
-        _spread(table, found["sensors_position_m"], [f"{axis}_m" for axis in XYZ])
-        _spread(table, found["sensors_orientation_wxyz"], [f"q{axis}" for axis in WXYZ])
-        table["sigma_m"] = found["sensors_sigma_m"]
-        _spread(table, found["sensors_velocity_m_s"], [f"v{axis}_m_s" for axis in XYZ])
-        _spread(table, found["sensors_angular_velocity_rad_s"], [f"w{axis}_rad_s" for axis in XYZ])
-        return table
-
-    def _measured(self) -> _Columns:
-        found, names = self._columns.numbers, self._columns.header["sensors"]
-        table: _Columns = {"t_s": found["measured_t_s"], "sensor": Coded(names, found["measured_sensor"])}
-        _spread(table, found["measured_angular_velocity_rad_s"], [f"w{axis}_rad_s" for axis in XYZ])
-        _spread(table, found["measured_specific_force_m_s2"], [f"f{axis}_m_s2" for axis in XYZ])
-        _spread(table, found["measured_magnetic_field"], [f"m{axis}" for axis in XYZ])
-        return table
-
-    def _body(self) -> _Columns:
-        found, header = self._columns.numbers, self._columns.header
-        table: _Columns = {"t_s": found["body_t_s"], "body": Coded(header["bodies"], found["body_body"])}
-        _spread(table, found["body_angles_deg"], [f"{angle}_deg" for angle in header["angles"]])
-        for at, segment in enumerate(header["segments"]):
-            _spread(table, found["body_position_m"][:, at], [f"{segment}_{axis}_m" for axis in XYZ])
-            _spread(table, found["body_orientation_wxyz"][:, at], [f"{segment}_q{axis}" for axis in WXYZ])
-            table[f"{segment}_state"] = Coded(header["states"], found["body_state"][:, at])
-        return table
-
-    def _events(self) -> _Columns:
-        messages = self._columns.header["events"]
-
-        def text(*keys: str) -> npt.NDArray[Any]:
-            return np.array([next((one[key] for key in keys if isinstance(one.get(key), str)), "") for one in messages], dtype=object)
-
-        return {
-            "t_s": np.array([one["t_s"] for one in messages], dtype=np.float64),
-            "t_valid_s": np.array([one["t_valid_s"] for one in messages], dtype=np.float64),
-            "event_id": np.array([one["event_id"] for one in messages], dtype=np.int64),
-            "topic": text("type"),
-            "event": text("event", "phase"),
-            "subject": text("subject", "sensor", "body"),
-            "label": text("label", "exercise", "cause"),
-            "message": np.array([json.dumps(one) for one in messages], dtype=object),
-        }
-
     def _labels(self) -> _Columns:
-        spans = list(_labels_beside(self.path, cast(npt.NDArray[np.float64], self._columns.numbers["sensors_t_s"])))
+        spans = list(_labels_beside(self.path, self._columns.frames_s))
         return {
             "from_s": np.array([span[0] for span in spans], dtype=np.float64),
             "to_s": np.array([span[1] for span in spans], dtype=np.float64),
@@ -209,11 +143,6 @@ class Take(Generic[F]):
 
     def __repr__(self) -> str:
         return f"<Take {self.path.name} of {self.stage}>"
-
-
-def _spread(table: _Columns, values: npt.NDArray[Any], names: list[str]) -> None:
-    for at, name in enumerate(names):
-        table[name] = values[:, at]
 
 
 def _labels_beside(path: pathlib.Path, frames_s: npt.NDArray[np.float64]) -> Iterator[tuple[float, float, str]]:
@@ -242,56 +171,42 @@ def _labels_beside(path: pathlib.Path, frames_s: npt.NDArray[np.float64]) -> Ite
 
 
 def _kept_at(path: pathlib.Path) -> pathlib.Path:
-    return path.parent / "exports" / f"{path.stem}.columns.npz"
+    return path.parent / "exports" / f"{path.stem}.columns.mcap"
 
 
-def _identity(path: pathlib.Path) -> str:
-    about = path.stat()
-    return f"{VERSION} {about.st_size} {about.st_mtime_ns}"
-
-
-def _exported(path: pathlib.Path, program: str | None) -> Columns:
-    """What follows from the bytes, by the program."""
+def _replay(path: pathlib.Path, into: pathlib.Path, program: str | None) -> None:
+    """Has the program make the columns."""
     found = program or os.environ.get("POSED") or shutil.which("posed")
     if found is None:
         raise NoProgram(
-            f"{path.name} holds what the devices sent, and `posed`, which makes poses of it, is not there: install it, give its path as `program` or in the variable POSED, read(..., preview=True), "
-            f"or have `posed export {path.name} --to mcap -o full.mcap` made where it is, and read that"
+            f"{path.name} has no columns (it broke off, or a version before these wrote it), and `posed`, which makes them, is not there: install it, give its path as `program` or in the "
+            f"variable POSED, or have `posed export {path.name} --to columns -o columns.mcap` made where it is, and read that"
         )
+    done = subprocess.run([found, "export", str(path), "--to", "columns", "-o", str(into)], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise PosedError(f"{path.name} cannot be read: {done.stderr.strip()}")
+
+
+def _columns_of(path: pathlib.Path, program: str | None, keep: bool, replay: bool) -> Columns:
+    if not replay:
+        # What was kept is of the recording as it is, where it is not older.
+        kept = _kept_at(path)
+        of = kept if kept.exists() and kept.stat().st_mtime_ns >= path.stat().st_mtime_ns else path
+        try:
+            found = Columns(columns(of))
+        except PosedError:
+            if of == path:
+                raise
+            found = Columns(())
+        if found.whole:
+            return found
     with tempfile.TemporaryDirectory() as folder:
-        lines = pathlib.Path(folder) / "messages.jsonl"
-        done = subprocess.run([found, "export", str(path), "--to", "jsonl", "-o", str(lines)], capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise PosedError(f"{path.name} cannot be read: {done.stderr.strip()}")
-        with lines.open("rb") as file:
-            return gathered(file)
-
-
-def _columns_of(path: pathlib.Path, program: str | None, keep: bool) -> Columns:
-    from ._mcap import begins, messages
-
-    identity, kept = _identity(path), _kept_at(path)
-    if keep and kept.exists():
-        columns = Columns.load(kept, identity)
-        if columns is not None:
-            return columns
-    beginning = begins(path)
-    columns = gathered(messages(path)) if beginning.full else _exported(path, program)
-    columns.header |= {"stage": beginning.stage, "epoch_utc": beginning.epoch_utc, "identity": identity}
-    if keep:
-        kept.parent.mkdir(exist_ok=True)
-        columns.save(kept)
-    return columns
-
-
-def _preview(path: pathlib.Path) -> Columns:
-    from ._mcap import begins, transforms
-
-    beginning = begins(path)
-    epoch_ns = int(np.datetime64(beginning.epoch_utc.removesuffix("Z"), "ns").astype(np.int64))
-    columns = shown(transforms(path), epoch_ns)
-    columns.header |= {"stage": beginning.stage, "epoch_utc": beginning.epoch_utc}
-    return columns
+        made = pathlib.Path(folder) / "columns.mcap"
+        if keep:
+            made = _kept_at(path)
+            made.parent.mkdir(exist_ok=True)
+        _replay(path, made, program)
+        return Columns(columns(made))
 
 
 def _numpy(table: _Columns) -> Table:
@@ -319,25 +234,25 @@ def _polars(table: _Columns) -> Any:
 
 
 @overload
-def read(path: str | os.PathLike[str], *, frames: Literal["pandas"] = ..., program: str | None = ..., keep: bool = ..., preview: bool = ...) -> Take[pandas.DataFrame]: ...
+def read(path: str | os.PathLike[str], *, frames: Literal["pandas"] = ..., program: str | None = ..., keep: bool = ..., replay: bool = ...) -> Take[pandas.DataFrame]: ...
 @overload
-def read(path: str | os.PathLike[str], *, frames: Literal["polars"], program: str | None = ..., keep: bool = ..., preview: bool = ...) -> Take[polars.DataFrame]: ...
+def read(path: str | os.PathLike[str], *, frames: Literal["polars"], program: str | None = ..., keep: bool = ..., replay: bool = ...) -> Take[polars.DataFrame]: ...
 @overload
-def read(path: str | os.PathLike[str], *, frames: Literal["numpy"], program: str | None = ..., keep: bool = ..., preview: bool = ...) -> Take[Table]: ...
+def read(path: str | os.PathLike[str], *, frames: Literal["numpy"], program: str | None = ..., keep: bool = ..., replay: bool = ...) -> Take[Table]: ...
 def read(
     path: str | os.PathLike[str],
     *,
     frames: Literal["pandas", "polars", "numpy"] = "pandas",
     program: str | None = None,
     keep: bool = True,
-    preview: bool = False,
+    replay: bool = False,
 ) -> Take[Any]:
     """Reads a recording: `read("take.mcap").body` is a data frame.
 
-    `frames`: whose data frames; `program`: the path of `posed`, by default the one of the variable POSED or of PATH, which makes the poses where the recording
-    holds only what devices sent; `keep`: whether the columns are kept in `exports/` beside it, so that the next time takes a moment. With `preview` it is what the
-    recording shows to viewers: where good sensors and segments were, five times a second, without joint angles and events, at once and without the program.
+    `frames`: whose data frames. What it says is what the program that recorded it made of the devices' bytes; with `replay` it is what the present one makes of them. One without columns is
+    always replayed. `program` then is the path of `posed`, by default the one of the variable POSED or of PATH; `keep`: whether what it makes is kept in `exports/` beside the recording, and
+    read from there the next time.
     """
     makes: dict[str, Make] = {"pandas": _pandas, "polars": _polars, "numpy": _numpy}
     file = pathlib.Path(path)
-    return Take(file, _preview(file) if preview else _columns_of(file, program, keep), makes[frames])
+    return Take(file, begins(file), _columns_of(file, program, keep, replay), makes[frames])

@@ -136,13 +136,14 @@ impl Poses {
     /// The file cannot be written; nothing is left behind.
     pub fn write(&self, path: &Path) -> Result<(), TableError> {
         let columns = PoseColumns {
+            timecode: false,
             sensor: self.sensors.iter().any(|name| !name.is_empty()),
             orientation: self.rows.iter().any(|row| row.orientation_wxyz.is_some()),
             state: self.rows.iter().any(|row| row.state.is_some()),
         };
         let mut writer = PoseWriter::create(path, columns)?;
         for row in &self.rows {
-            writer.row(self.name(row), row)?;
+            writer.row(self.name(row), None, row)?;
         }
         writer.finish()
     }
@@ -196,6 +197,8 @@ impl Poses {
 pub struct PoseColumns {
     /// `sensor`.
     pub sensor: bool,
+    /// `timecode`.
+    pub timecode: bool,
     /// `qw,qx,qy,qz`.
     pub orientation: bool,
     /// `state`.
@@ -215,6 +218,7 @@ impl PoseWriter {
     /// The folder is missing or cannot be written to.
     pub fn create(path: &Path, columns: PoseColumns) -> Result<Self, TableError> {
         let mut names = vec!["t"];
+        names.extend(columns.timecode.then_some("timecode"));
         names.extend(columns.sensor.then_some("sensor"));
         names.extend(["x", "y", "z"]);
         names.extend(["qw", "qx", "qy", "qz"].iter().filter(|_| columns.orientation));
@@ -222,14 +226,17 @@ impl PoseWriter {
         Ok(Self { table: TableWriter::create(path, &names)?, columns })
     }
 
-    /// Appends a row of the sensor called `name`; columns that the file does not have are left out, what is `None` is an empty
+    /// Appends a row of the sensor called `name`, at a time code that may not be known; columns that the file does not have are left out, what is `None` is an empty
     /// cell.
     ///
     /// # Errors
     /// The disk is full.
-    pub fn row(&mut self, name: &str, row: &PoseRow) -> Result<(), TableError> {
+    pub fn row(&mut self, name: &str, timecode: Option<&str>, row: &PoseRow) -> Result<(), TableError> {
         let Self { table, columns } = self;
         table.number(row.t_s)?;
+        if columns.timecode {
+            table.text(timecode.unwrap_or_default())?;
+        }
         if columns.sensor {
             table.text(name)?;
         }
