@@ -1,13 +1,15 @@
 //! Links that are cut: a proxy lies between stage and hub, and what was missed is made up for.
 
+use std::process::Command;
 use std::sync::Arc;
 
+use posed_mesh::zenoh::{Config, Session};
 use serde_json::{Value, json};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 
 use super::{client, events, free_port, hub, move_transmitter, stage, stages};
-use crate::daemon::process::{frames, ok, until};
+use crate::daemon::process::{Posed, frames, ok, until};
 
 /// A TCP connection to somewhere that can be cut: then nothing passes and nobody is notified.
 struct Proxy {
@@ -113,6 +115,42 @@ async fn no_event_is_lost_in_a_cut_and_poses_come_again() {
         until(&mut later, "an event", |message| !message["event_id"].is_null()).await["event_id"],
         first + 1
     );
+    assert_eq!(hub.end("INT").await.code(), Some(0));
+}
+
+/// A router between stages and hubs, set as the handbook says.
+async fn router(port: u16) -> Session {
+    let of = |region: &str| json!({"filters": [{"region_names": [region]}]});
+    let mut config = Config::default();
+    for (key, value) in [
+        ("mode", "\"router\"".to_owned()),
+        ("listen/endpoints", format!("[\"tcp/127.0.0.1:{port}\"]")),
+        ("scouting/multicast/enabled", "false".to_owned()),
+        ("gateway", json!({"south": [of("posed-hub"), of("posed-stage")]}).to_string()),
+    ] {
+        config.insert_json5(key, &value).unwrap();
+    }
+    posed_mesh::zenoh::open(config).await.unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn behind_a_router_that_was_ended_in_order_a_stage_is_gone_and_returns_with_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let port = free_port();
+    let between = router(port).await;
+    let to_router = format!("tcp/127.0.0.1:{port}");
+    let args = ["hub", "--http", "127.0.0.1:0", "--connect", &to_router];
+    let hub = Posed::spawn(Command::new(env!("CARGO_BIN_EXE_posed")).args(args));
+    let _stage = stage(folder.path(), port);
+    let mut all = client(hub.address, "/ws").await;
+    let mut here = client(hub.address, "/two/ws").await;
+    ok(&mut here, json!({"type": "subscribe", "topics": ["sensors"]})).await;
+    frames(&mut here, 5).await;
+    between.close().await.unwrap();
+    stages(&mut all, "that nothing comes through", |stage| stage["state"] == "gone").await;
+    let _again = router(port).await;
+    stages(&mut all, "that it comes again", |stage| stage["state"] == "present").await;
+    frames(&mut here, 20).await;
     assert_eq!(hub.end("INT").await.code(), Some(0));
 }
 

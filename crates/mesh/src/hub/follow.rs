@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::sync::{mpsc, watch};
-use tokio::time::{MissedTickBehavior, interval};
+use tokio::time::{Instant, MissedTickBehavior, interval};
 use zenoh::Session;
 
 use super::asking::{Asking, subscribe};
@@ -34,6 +34,10 @@ const LOOK: Duration = Duration::from_millis(100);
 const JOIN_EVERY: u32 = 5;
 /// Looks between two readings of the stage's clock.
 const CLOCK_EVERY: u32 = 10;
+/// A stage that says nothing for so long is asked for its clock, though that is well known and nobody here looks at its poses.
+const QUIET: Duration = Duration::from_secs(3);
+/// One that does not answer either is gone, whatever zenoh sees: a router in between may keep its token alive.
+const SILENT: Duration = Duration::from_secs(6);
 
 /// What a follower is made from.
 pub(super) struct Follower {
@@ -78,6 +82,9 @@ struct Work {
     asking_log: bool,
     /// Something came that cannot be read.
     unreadable: bool,
+    /// When it was last heard, and whether it is taken as gone because that is long ago.
+    heard: Instant,
+    silent: bool,
 }
 
 impl Follower {
@@ -111,6 +118,8 @@ impl Follower {
             asking: false,
             asking_log: false,
             unreadable: false,
+            heard: Instant::now(),
+            silent: false,
         };
         let mut looks = interval(LOOK);
         looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -125,7 +134,7 @@ impl Follower {
                         return;
                     }
                     let there = *alive.borrow_and_update();
-                    work.presence(there).await;
+                    work.token(there).await;
                 }
                 wish = wished(&mut work.following) => work.ask_for(wish).await,
                 Some(payload) = fed.recv() => work.fed(&payload).await,
@@ -133,6 +142,7 @@ impl Follower {
                 Some(answer) = answers.recv() => work.answer(answer).await,
                 _ = looks.tick() => {
                     look += 1;
+                    work.listen().await;
                     work.look(look);
                 }
             }
@@ -163,7 +173,32 @@ impl Work {
     }
 
     fn is_there(&self) -> bool {
-        *self.follower.alive.borrow()
+        *self.follower.alive.borrow() && !self.silent
+    }
+
+    /// Its token has come or gone.
+    async fn token(&mut self, there: bool) {
+        self.heard = Instant::now();
+        // Gone is gone.
+        if !std::mem::take(&mut self.silent) || there {
+            self.presence(there).await;
+        }
+    }
+
+    /// Something came from it.
+    async fn hear(&mut self) {
+        self.heard = Instant::now();
+        if std::mem::take(&mut self.silent) && self.is_there() {
+            self.presence(true).await;
+        }
+    }
+
+    /// Whether it still says something.
+    async fn listen(&mut self) {
+        if self.is_there() && self.following.is_some() && self.heard.elapsed() > SILENT {
+            self.silent = true;
+            self.presence(false).await;
+        }
     }
 
     /// The stage has come, vanished or returned.
@@ -195,6 +230,9 @@ impl Work {
 
     /// Asks for what is missing, and for the time.
     fn look(&mut self, look: u32) {
+        if self.silent && look.is_multiple_of(CLOCK_EVERY) {
+            self.questions.clock();
+        }
         if !self.is_there() {
             return;
         }
@@ -217,13 +255,15 @@ impl Work {
             self.asking_log = true;
             self.questions.log(fuser.next());
         }
-        if look.is_multiple_of(CLOCK_EVERY) {
+        let idles = following.relation.is_settled() && following.wish.borrow().is_empty();
+        if look.is_multiple_of(CLOCK_EVERY) && (!idles || self.heard.elapsed() >= QUIET) {
             self.questions.clock();
         }
     }
 
     /// Something of the feed.
     async fn fed(&mut self, payload: &[u8]) {
+        self.hear().await;
         let (head, item, held) = match wire::read_fed(payload) {
             Ok(read) => read,
             Err(error) => {
@@ -287,6 +327,9 @@ impl Work {
     }
 
     async fn answer(&mut self, answer: Answer) {
+        if let Answer::Clock { .. } = answer {
+            self.hear().await;
+        }
         match answer {
             Answer::Clock { left, reading, came } => {
                 let Some(following) = &mut self.following else { return };

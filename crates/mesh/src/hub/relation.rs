@@ -13,6 +13,8 @@ use std::collections::VecDeque;
 const DRIFT: f64 = 1e-4;
 /// Intervals that are remembered.
 const REMEMBERED: usize = 128;
+/// Readings after which few tell more.
+const SETTLED: usize = 16;
 
 /// See the module. All times in ns.
 #[derive(Debug, Default)]
@@ -55,6 +57,11 @@ impl Relation {
             self.intervals.clear();
             self.intervals.push_back(new);
         }
+    }
+
+    /// Whether further readings need not be taken in a hurry.
+    pub(super) fn is_settled(&self) -> bool {
+        self.intervals.len() >= SETTLED
     }
 
     /// What is known at hub time `now`; `None` before the first reading.
