@@ -19,7 +19,7 @@ pub(crate) struct Args {
     /// The recording.
     recording: PathBuf,
     /// csv: filtered poses with their state. jsonl: every published message, one on each line. bvh, glb, vrm, vrma, usda, trc, c3d, sto, mot: the body.
-    /// mcap: a recording with every message and all channels for viewers.
+    /// mcap: a recording with every message and all channels for viewers. columns: a recording as this version makes it, for one that has no columns.
     #[arg(long, value_enum)]
     to: Format,
     /// The file to write; csv is zipped where it ends in .gz.

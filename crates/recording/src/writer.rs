@@ -264,7 +264,9 @@ impl<W: Write> Writer<W> {
     /// # Errors
     /// The sink refuses, or a part of it is too large or cannot be packed.
     pub fn columns(&mut self, block: &Block) -> Result<(), WriteError> {
-        block.each_message(|message| self.write(Destination::View(columns::TOPIC), block.t(), None, message))
+        // One in which nothing was published has a time as well.
+        let t = block.t().max(self.header.begun);
+        block.each_message(|message| self.write(Destination::View(columns::TOPIC), t, None, message))
     }
 
     /// Appends a message as it was published: its topic (`sensors`, not `/posed/sensors`), its stage time, its JSON text.

@@ -306,7 +306,7 @@ fn messages(file: &[u8]) -> BTreeMap<String, Vec<(u64, Vec<u8>)>> {
 fn viewed(lean: &Path) {
     let messages = messages(&std::fs::read(lean).unwrap());
     let topics: Vec<&str> = messages.keys().map(String::as_str).collect();
-    assert_eq!(topics, ["/input/log", "/log", "/scene/body", "/scene/sensors", "/tf"]);
+    assert_eq!(topics, ["/columns", "/input/log", "/log", "/scene/body", "/scene/sensors", "/tf"]);
     let bodies = &messages["/scene/body"];
     let seconds = (bodies.last().unwrap().0 - bodies[0].0) as f64 * 1e-9;
     assert!((4.0..6.0).contains(&(bodies.len() as f64 / seconds)), "{} in {seconds} s", bodies.len());

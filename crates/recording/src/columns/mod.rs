@@ -21,10 +21,13 @@
 
 mod rows;
 
+use std::sync::Arc;
+
 use posed_drivers::Timestamp;
 use serde::Serialize;
 
 use posed_protocol::{Encoding, Names, Payload, Stamp, View, encode, round};
+use posed_stage::input::SensorIndex;
 use posed_stage::output::{Body, Estimate, Inertial, SegmentState, SensorEstimate, SensorState};
 use posed_stage::{BodyIndex, Stage};
 use rows::Rows;
@@ -55,22 +58,29 @@ const RECORD: usize = 11;
 /// Gathers the columns of one recording.
 #[derive(Clone, Debug)]
 pub struct Columns {
-    names: Names,
-    /// Indices of the IMUs, and of each what its latest record holds.
-    imus: Vec<(usize, [Option<i32>; RECORD])>,
+    stage: Arc<Named>,
     block: Block,
+    /// Of each IMU what its latest record holds.
+    latest: Vec<[Option<i32>; RECORD]>,
     /// Rows of bodies so far.
     body_rows: u32,
-    /// Times of its first and its latest row, µs.
+    /// Times of the block's first and latest row, µs.
     span_us: Option<(i64, i64)>,
     body: Vec<u8>,
+}
+
+/// What has columns.
+#[derive(Debug)]
+struct Named {
+    names: Names,
+    /// Indices of the IMUs among the sensors.
+    imus: Vec<SensorIndex>,
 }
 
 /// What is written at a time.
 #[derive(Clone, Debug)]
 pub struct Block {
-    names: Names,
-    imus: Vec<String>,
+    stage: Arc<Named>,
     t: Timestamp,
     sensors: Rows,
     /// By their indices.
@@ -86,7 +96,7 @@ pub struct Block {
 enum Part<'a> {
     Sensors {
         names: Vec<&'a str>,
-        imus: &'a [String],
+        imus: Vec<&'a str>,
         states: &'a [SensorState],
         rows: usize,
         width: usize,
@@ -118,21 +128,12 @@ mod bytes {
 impl Columns {
     /// Begins with the recording.
     pub fn new(stage: &Stage) -> Self {
-        let names = Names::new(stage);
-        let is_imu = |(_, sensor): &(usize, &posed_stage::Sensor)| stage.is_imu(sensor);
-        let imus: Vec<_> = stage.sensors.iter().enumerate().filter(is_imu).collect();
-        let block = Block {
-            imus: imus.iter().map(|(_, sensor)| sensor.name.clone()).collect(),
-            t: Timestamp::ZERO,
-            sensors: Rows::default(),
-            bodies: names.bodies().map(|_| Rows::default()).collect(),
-            events: Vec::new(),
-            event_bytes: 0,
-            is_last: false,
-            names: names.clone(),
-        };
-        let imus = imus.into_iter().map(|(index, _)| (index, [None; RECORD])).collect();
-        Self { names, imus, block, body_rows: 0, span_us: None, body: Vec::new() }
+        let imus = (0..).zip(&stage.sensors).filter(|(_, sensor)| stage.is_imu(sensor));
+        let imus: Vec<_> = imus.map(|(index, _)| index).collect();
+        let latest = vec![[None; RECORD]; imus.len()];
+        let stage = Arc::new(Named { names: Names::new(stage), imus });
+        let block = Block::begun(&stage, Timestamp::ZERO);
+        Self { stage, block, latest, body_rows: 0, span_us: None, body: Vec::new() }
     }
 
     /// Takes up what a message says; gives the block that is full by now.
@@ -160,24 +161,16 @@ impl Columns {
     }
 
     fn take(&mut self) -> Block {
-        let empty = Block {
-            sensors: Rows::default(),
-            bodies: self.block.bodies.iter().map(|_| Rows::default()).collect(),
-            events: Vec::new(),
-            event_bytes: 0,
-            names: self.block.names.clone(),
-            imus: self.block.imus.clone(),
-            ..self.block
-        };
         self.span_us = None;
-        std::mem::replace(&mut self.block, empty)
+        let next = Block::begun(&self.stage, self.block.t);
+        std::mem::replace(&mut self.block, next)
     }
 
     fn estimate(&mut self, estimate: &Estimate, stamp: &Stamp) {
         let rows = &mut self.block.sensors;
         rows.begin(stamp);
         let none = SensorEstimate::default();
-        for place in 0..self.names.sensor_count() {
+        for place in 0..self.stage.names.sensor_count() {
             let sensor = estimate.sensors.get(place).unwrap_or(&none);
             let pose = sensor.pose.as_ref();
             rows.push(Some(sensor.state as i32));
@@ -187,8 +180,9 @@ impl Columns {
             rows.each(round::VELOCITY, pose.and_then(|pose| pose.velocity_m_s));
             rows.each(round::VELOCITY, pose.map(|pose| pose.angular_velocity_rad_s));
         }
-        for (index, latest) in &mut self.imus {
-            let measured = estimate.sensors.get(*index).and_then(|sensor| sensor.measured.as_ref());
+        for (imu, latest) in self.stage.imus.iter().zip(&mut self.latest) {
+            let measured =
+                estimate.sensors.get(usize::from(*imu)).and_then(|sensor| sensor.measured.as_ref());
             let record = measured.and_then(|record| {
                 let inertial =
                     record.inertial.filter(|inertial| inertial.angular_velocity_rad_s.is_some())?;
@@ -204,7 +198,7 @@ impl Columns {
     }
 
     fn body(&mut self, body: &Body, stamp: &Stamp) {
-        let Some(layout) = self.names.body(body.index) else { return };
+        let Some(layout) = self.stage.names.body(body.index) else { return };
         let Some(rows) = self.block.bodies.get_mut(usize::from(body.index)) else { return };
         rows.begin(stamp);
         rows.push(Some(self.body_rows.cast_signed()));
@@ -222,7 +216,7 @@ impl Columns {
 
     fn event(&mut self, payload: &Payload<'_>, stamp: &Stamp) {
         self.body.clear();
-        encode::body(payload, stamp, &self.names, &View::all(Encoding::Json), &mut self.body);
+        encode::body(payload, stamp, &self.stage.names, &View::all(Encoding::Json), &mut self.body);
         let Some((_, rest)) = self.body.split_first() else { return };
         // It is JSON, and so UTF-8. A client's count of messages is not known here.
         let message = format!(r#"{{"type":"{}",{}"#, stamp.topic.name(), String::from_utf8_lossy(rest));
@@ -247,7 +241,19 @@ fn numbers(t: Timestamp, inertial: &Inertial) -> [Option<i32>; RECORD] {
 }
 
 impl Block {
-    /// Time of its latest row.
+    fn begun(stage: &Arc<Named>, t: Timestamp) -> Self {
+        Self {
+            t,
+            sensors: Rows::default(),
+            bodies: stage.names.bodies().map(|_| Rows::default()).collect(),
+            events: Vec::new(),
+            event_bytes: 0,
+            is_last: false,
+            stage: Arc::clone(stage),
+        }
+    }
+
+    /// Time of its latest row, or of the block before where it has none.
     pub(super) fn t(&self) -> Timestamp {
         self.t
     }
@@ -268,9 +274,15 @@ impl Block {
     ) -> Result<(), E> {
         let mut part = |part: &Part<'_>| write(&rmp_serde::to_vec_named(part)?);
         if let Some((rows, width)) = self.sensors.size() {
-            let names = self.names.sensors().map(|(name, _)| name).collect();
-            let values = self.sensors.packed();
-            part(&Part::Sensors { names, imus: &self.imus, states: &SENSOR_STATES, rows, width, values })?;
+            let Named { names, imus } = &*self.stage;
+            part(&Part::Sensors {
+                names: names.sensors().map(|(name, _)| name).collect(),
+                imus: imus.iter().map(|imu| names.sensor(*imu)).collect(),
+                states: &SENSOR_STATES,
+                rows,
+                width,
+                values: self.sensors.packed(),
+            })?;
         }
         for (index, table) in (0..).zip(&self.bodies) {
             if let Some((rows, width)) = table.size() {
@@ -287,12 +299,12 @@ impl Block {
     }
 
     fn body(&self, index: BodyIndex, table: &Rows, rows: usize, width: usize) -> Part<'_> {
-        let segments = self.names.body(index).map_or(&[][..], |layout| &layout.segments);
+        let segments = self.stage.names.body(index).map_or(&[][..], |layout| &layout.segments);
         let angles = segments.iter().flat_map(|segment| {
             segment.angles.clone().map(|angle| format!("{}_{}", segment.joint, segment.angle(angle)))
         });
         Part::Body {
-            name: self.names.body_name(index),
+            name: self.stage.names.body_name(index),
             angles: angles.collect(),
             segments: segments.iter().map(|segment| &*segment.name).collect(),
             states: &SEGMENT_STATES,
