@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::sync::{mpsc, watch};
-use tokio::time::{Instant, MissedTickBehavior, interval};
+use tokio::time::{MissedTickBehavior, interval};
 use zenoh::Session;
 
 use super::asking::{Asking, subscribe};
@@ -34,10 +34,10 @@ const LOOK: Duration = Duration::from_millis(100);
 const JOIN_EVERY: u32 = 5;
 /// Looks between two readings of the stage's clock.
 const CLOCK_EVERY: u32 = 10;
-/// A stage that says nothing for so long is asked for its clock, though that is well known and nobody here looks at its poses.
-const QUIET: Duration = Duration::from_secs(3);
-/// One that does not answer either is gone, whatever zenoh sees: a router in between may keep its token alive.
-const SILENT: Duration = Duration::from_secs(6);
+/// Looks after which a stage that says nothing is asked for its clock, though that is well known and nobody here looks at its poses.
+const QUIET: u32 = 30;
+/// Looks after which one that does not answer either is gone, whatever zenoh sees: a router in between may keep its token alive.
+const SILENT: u32 = 60;
 
 /// What a follower is made from.
 pub(super) struct Follower {
@@ -82,8 +82,8 @@ struct Work {
     asking_log: bool,
     /// Something came that cannot be read.
     unreadable: bool,
-    /// When it was last heard, and whether it is taken as gone because that is long ago.
-    heard: Instant,
+    /// Looks since it was last heard, and whether it is taken as gone because these are many.
+    quiet: u32,
     silent: bool,
 }
 
@@ -118,7 +118,7 @@ impl Follower {
             asking: false,
             asking_log: false,
             unreadable: false,
-            heard: Instant::now(),
+            quiet: 0,
             silent: false,
         };
         let mut looks = interval(LOOK);
@@ -178,7 +178,7 @@ impl Work {
 
     /// Its token has come or gone.
     async fn token(&mut self, there: bool) {
-        self.heard = Instant::now();
+        self.quiet = 0;
         // Gone is gone.
         if !std::mem::take(&mut self.silent) || there {
             self.presence(there).await;
@@ -187,7 +187,7 @@ impl Work {
 
     /// Something came from it.
     async fn hear(&mut self) {
-        self.heard = Instant::now();
+        self.quiet = 0;
         if std::mem::take(&mut self.silent) && self.is_there() {
             self.presence(true).await;
         }
@@ -195,7 +195,8 @@ impl Work {
 
     /// Whether it still says something.
     async fn listen(&mut self) {
-        if self.is_there() && self.following.is_some() && self.heard.elapsed() > SILENT {
+        self.quiet = self.quiet.saturating_add(1);
+        if self.is_there() && self.following.is_some() && self.quiet > SILENT {
             self.silent = true;
             self.presence(false).await;
         }
@@ -256,7 +257,7 @@ impl Work {
             self.questions.log(fuser.next());
         }
         let idles = following.relation.is_settled() && following.wish.borrow().is_empty();
-        if look.is_multiple_of(CLOCK_EVERY) && (!idles || self.heard.elapsed() >= QUIET) {
+        if look.is_multiple_of(CLOCK_EVERY) && (!idles || self.quiet >= QUIET) {
             self.questions.clock();
         }
     }
