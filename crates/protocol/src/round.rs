@@ -23,9 +23,14 @@ pub(crate) const CLOCK: f64 = 1e6;
 /// Steps per unit of a probability.
 pub(crate) const PROBABILITY: f64 = 1e3;
 
+/// `value` in whole steps of `1 / steps`.
+pub fn steps(steps: f64, value: f64) -> f64 {
+    (value * steps).round()
+}
+
 /// `value` to the nearest `1 / steps`; never a negative zero.
 pub fn to(steps: f64, value: f64) -> f64 {
-    (value * steps).round() / steps + 0.0
+    self::steps(steps, value) / steps + 0.0
 }
 
 /// Steps per unit of the statistic of key poses, by what is a large value of it: by one method some tens without unit, by the other

@@ -5,7 +5,6 @@ use std::path::Path;
 
 use clap::ValueEnum;
 use nalgebra::Isometry3;
-use serde::Deserialize;
 
 use super::ending::ReadError;
 use super::header::Header;
@@ -305,13 +304,12 @@ pub fn csv(
             }
             Item::Message(message) if &*message.topic == "sensors" => {
                 poses.rows.clear();
-                poses.append_message(&message.json, Which::All).map_err(failed)?;
+                let code = poses.append_message(&message.json, Which::All).map_err(failed)?;
                 if let Some(transmitter) = &transmitter {
                     poses.rows.iter_mut().for_each(|row| transmitter.transform(row));
                 }
-                let code = Coded::of(&message.json).map_err(failed)?;
                 for row in &poses.rows {
-                    writer.row(poses.name(row), code.timecode, row)?;
+                    writer.row(poses.name(row), code.as_deref(), row)?;
                 }
                 rows += poses.rows.len() as u64;
             }
@@ -320,20 +318,6 @@ pub fn csv(
     }
     writer.finish()?;
     Ok(rows)
-}
-
-/// The time code of a message.
-#[derive(Deserialize)]
-struct Coded<'a> {
-    #[serde(default)]
-    timecode: Option<&'a str>,
-}
-
-impl<'a> Coded<'a> {
-    fn of(json: &'a [u8]) -> Result<Self, ReadError> {
-        serde_json::from_slice(json)
-            .map_err(|error| ReadError::NotARecording(format!("a `sensors` message cannot be read: {error}")))
-    }
 }
 
 /// Ends what is not to go on.

@@ -141,7 +141,7 @@ impl Message<'_> {
     }
 }
 
-/// Cuts what the other end sends into messages. It is told what to believe, and gives up one byte where it is told to.
+/// Cuts what the other end sends into messages. Its caller says what to believe, and where it is to give up one byte.
 #[derive(Clone, Debug, Default, Plain)]
 pub struct Messages {
     buffer: Vec<u8>,

@@ -98,7 +98,7 @@ impl Viewers {
         self.clients.len()
     }
 
-    /// What they want of states: whole frames, as often as there are any. Problems are told to all.
+    /// What they want of states: whole frames, as often as there are any. Problems are reported to all.
     pub(super) fn wish(&self) -> Wish {
         let mut wish = Wish::default();
         if !self.clients.is_empty() {

@@ -82,9 +82,8 @@ struct Work {
     asking_log: bool,
     /// Something came that cannot be read.
     unreadable: bool,
-    /// Looks since it was last heard, and whether it is taken as gone because these are many.
+    /// Looks since it was last heard, once it has joined.
     quiet: u32,
-    silent: bool,
 }
 
 impl Follower {
@@ -119,7 +118,6 @@ impl Follower {
             asking_log: false,
             unreadable: false,
             quiet: 0,
-            silent: false,
         };
         let mut looks = interval(LOOK);
         looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -173,31 +171,39 @@ impl Work {
     }
 
     fn is_there(&self) -> bool {
-        *self.follower.alive.borrow() && !self.silent
+        *self.follower.alive.borrow() && !self.is_silent()
+    }
+
+    /// Whether it is taken as gone because it says nothing.
+    fn is_silent(&self) -> bool {
+        self.quiet > SILENT
     }
 
     /// Its token has come or gone.
     async fn token(&mut self, there: bool) {
-        self.quiet = 0;
         // Gone is gone.
-        if !std::mem::take(&mut self.silent) || there {
+        let is_news = there || !self.is_silent();
+        self.quiet = 0;
+        if is_news {
             self.presence(there).await;
         }
     }
 
     /// Something came from it.
     async fn hear(&mut self) {
+        let returns = self.is_silent();
         self.quiet = 0;
-        if std::mem::take(&mut self.silent) && self.is_there() {
+        if returns && self.is_there() {
             self.presence(true).await;
         }
     }
 
     /// Whether it still says something.
     async fn listen(&mut self) {
-        self.quiet = self.quiet.saturating_add(1);
-        if self.is_there() && self.following.is_some() && self.quiet > SILENT {
-            self.silent = true;
+        let was_there = self.is_there();
+        // One that has not joined is asked until it answers.
+        self.quiet = if self.following.is_some() { self.quiet.saturating_add(1) } else { 0 };
+        if was_there && self.is_silent() {
             self.presence(false).await;
         }
     }
@@ -231,10 +237,12 @@ impl Work {
 
     /// Asks for what is missing, and for the time.
     fn look(&mut self, look: u32) {
-        if self.silent && look.is_multiple_of(CLOCK_EVERY) {
-            self.questions.clock();
-        }
+        let is_due = look.is_multiple_of(CLOCK_EVERY);
         if !self.is_there() {
+            // One that only fell silent may answer again.
+            if self.is_silent() && is_due {
+                self.questions.clock();
+            }
             return;
         }
         let Follower { fuse, .. } = &self.follower;
@@ -257,7 +265,7 @@ impl Work {
             self.questions.log(fuser.next());
         }
         let idles = following.relation.is_settled() && following.wish.borrow().is_empty();
-        if look.is_multiple_of(CLOCK_EVERY) && (!idles || self.quiet >= QUIET) {
+        if is_due && (!idles || self.quiet >= QUIET) {
             self.questions.clock();
         }
     }
@@ -328,11 +336,9 @@ impl Work {
     }
 
     async fn answer(&mut self, answer: Answer) {
-        if let Answer::Clock { .. } = answer {
-            self.hear().await;
-        }
         match answer {
             Answer::Clock { left, reading, came } => {
+                self.hear().await;
                 let Some(following) = &mut self.following else { return };
                 if reading.run == following.run {
                     let (left, came) = (left.as_nanos(), came.as_nanos());

@@ -6,7 +6,7 @@
 //!
 //! # Layout
 //! A message is a MessagePack map ([`Part`]) whose `of` says which table it goes on with. Tables of numbers are `rows` by `width` whole numbers of 32 bits
-//! each, in `values` as [`Rows::packed`] packs them; -2^31 is what is not known. Every row begins with the seconds and the microseconds of its time, and its time
+//! each, in `values` as `Rows::packed` packs them; -2^31 is what is not known. Every row begins with the seconds and the microseconds of its time, and its time
 //! code: second of the day, hundred times the frame and its hundredths, 1 for drop-frame counting. Then
 //!
 //! | `of` | of each | numbers, each in steps of a unit |
@@ -28,9 +28,9 @@ use serde::Serialize;
 
 use posed_protocol::{Encoding, Names, Payload, Stamp, View, encode, round};
 use posed_stage::input::SensorIndex;
-use posed_stage::output::{Body, Estimate, Inertial, SegmentState, SensorEstimate, SensorState};
+use posed_stage::output::{Body, Estimate, SegmentState, SensorEstimate, SensorState};
 use posed_stage::{BodyIndex, Stage};
-use rows::Rows;
+use rows::{Rows, Table};
 
 /// Channel of the blocks.
 pub(super) const TOPIC: &str = "/columns";
@@ -61,7 +61,7 @@ pub struct Columns {
     stage: Arc<Named>,
     block: Block,
     /// Of each IMU what its latest record holds.
-    latest: Vec<[Option<i32>; RECORD]>,
+    latest: Vec<Rows>,
     /// Rows of bodies so far.
     body_rows: u32,
     /// Times of the block's first and latest row, µs.
@@ -97,21 +97,15 @@ enum Part<'a> {
     Sensors {
         names: Vec<&'a str>,
         imus: Vec<&'a str>,
-        states: &'a [SensorState],
-        rows: usize,
-        width: usize,
-        #[serde(with = "bytes")]
-        values: Vec<u8>,
+        #[serde(flatten)]
+        table: Table<'a, SensorState>,
     },
     Body {
         name: &'a str,
         angles: Vec<String>,
         segments: Vec<&'a str>,
-        states: &'a [SegmentState],
-        rows: usize,
-        width: usize,
-        #[serde(with = "bytes")]
-        values: Vec<u8>,
+        #[serde(flatten)]
+        table: Table<'a, SegmentState>,
     },
     Events {
         messages: &'a [String],
@@ -119,18 +113,14 @@ enum Part<'a> {
     End,
 }
 
-mod bytes {
-    pub(super) fn serialize<S: serde::Serializer>(bytes: &[u8], serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_bytes(bytes)
-    }
-}
-
 impl Columns {
     /// Begins with the recording.
     pub fn new(stage: &Stage) -> Self {
         let imus = (0..).zip(&stage.sensors).filter(|(_, sensor)| stage.is_imu(sensor));
         let imus: Vec<_> = imus.map(|(index, _)| index).collect();
-        let latest = vec![[None; RECORD]; imus.len()];
+        let mut none = Rows::default();
+        none.each::<RECORD>(1.0, None);
+        let latest = vec![none; imus.len()];
         let stage = Arc::new(Named { names: Names::new(stage), imus });
         let block = Block::begun(&stage, Timestamp::ZERO);
         Self { stage, block, latest, body_rows: 0, span_us: None, body: Vec::new() }
@@ -173,7 +163,7 @@ impl Columns {
         for place in 0..self.stage.names.sensor_count() {
             let sensor = estimate.sensors.get(place).unwrap_or(&none);
             let pose = sensor.pose.as_ref();
-            rows.push(Some(sensor.state as i32));
+            rows.push(sensor.state as i32);
             rows.each(round::POSITION, pose.and_then(|pose| pose.position_m));
             rows.each(round::QUATERNION, pose.map(|pose| pose.orientation_wxyz));
             rows.each(round::SIGMA, pose.and_then(|pose| pose.sigma_m).map(|sigma_m| [sigma_m]));
@@ -189,10 +179,14 @@ impl Columns {
                 Some((record.t_valid, inertial))
             });
             if let Some((t_valid, inertial)) = &record {
-                *latest = numbers(*t_valid, inertial);
+                *latest = Rows::default();
+                latest.time(round::microseconds(*t_valid));
+                latest.each(round::QUATERNION, inertial.angular_velocity_rad_s);
+                latest.each(round::QUATERNION, inertial.specific_force_m_s2);
+                latest.each(round::QUATERNION, inertial.magnetic_field);
             }
-            rows.push(Some(i32::from(record.is_some())));
-            latest.iter().for_each(|number| rows.push(*number));
+            rows.push(i32::from(record.is_some()));
+            rows.append(latest);
         }
         rows.end();
     }
@@ -201,13 +195,13 @@ impl Columns {
         let Some(layout) = self.stage.names.body(body.index) else { return };
         let Some(rows) = self.block.bodies.get_mut(usize::from(body.index)) else { return };
         rows.begin(stamp);
-        rows.push(Some(self.body_rows.cast_signed()));
+        rows.push(self.body_rows.cast_signed());
         self.body_rows = self.body_rows.wrapping_add(1);
         for angle in layout.segments.iter().flat_map(|segment| segment.angles.clone()) {
             rows.each(round::DEGREES, body.angles_rad[angle].map(|rad| [rad.to_degrees()]));
         }
         for segment in body.segments.iter().take(layout.segments.len()) {
-            rows.push(Some(segment.state as i32));
+            rows.push(segment.state as i32);
             rows.each(round::POSITION, segment.position_m);
             rows.each(round::QUATERNION, segment.orientation_wxyz);
         }
@@ -223,21 +217,6 @@ impl Columns {
         self.block.event_bytes += message.len();
         self.block.events.push(message);
     }
-}
-
-/// A record of an IMU.
-fn numbers(t: Timestamp, inertial: &Inertial) -> [Option<i32>; RECORD] {
-    let [seconds, micros] = rows::time(round::microseconds(t));
-    let mut numbers = [None; RECORD];
-    numbers[0] = Some(seconds);
-    numbers[1] = Some(micros);
-    let vectors = [inertial.angular_velocity_rad_s, inertial.specific_force_m_s2, inertial.magnetic_field];
-    for (place, vector) in vectors.into_iter().enumerate() {
-        for (axis, value) in vector.iter().flatten().enumerate() {
-            numbers[2 + 3 * place + axis] = Some(rows::steps(round::QUATERNION, *value));
-        }
-    }
-    numbers
 }
 
 impl Block {
@@ -273,20 +252,17 @@ impl Block {
         mut write: impl FnMut(&[u8]) -> Result<(), E>,
     ) -> Result<(), E> {
         let mut part = |part: &Part<'_>| write(&rmp_serde::to_vec_named(part)?);
-        if let Some((rows, width)) = self.sensors.size() {
+        if let Some(table) = self.sensors.table(&SENSOR_STATES) {
             let Named { names, imus } = &*self.stage;
             part(&Part::Sensors {
                 names: names.sensors().map(|(name, _)| name).collect(),
                 imus: imus.iter().map(|imu| names.sensor(*imu)).collect(),
-                states: &SENSOR_STATES,
-                rows,
-                width,
-                values: self.sensors.packed(),
+                table,
             })?;
         }
-        for (index, table) in (0..).zip(&self.bodies) {
-            if let Some((rows, width)) = table.size() {
-                part(&self.body(index, table, rows, width))?;
+        for (index, rows) in (0..).zip(&self.bodies) {
+            if let Some(table) = rows.table(&SEGMENT_STATES) {
+                part(&self.body(index, table))?;
             }
         }
         if !self.events.is_empty() {
@@ -298,7 +274,7 @@ impl Block {
         Ok(())
     }
 
-    fn body(&self, index: BodyIndex, table: &Rows, rows: usize, width: usize) -> Part<'_> {
+    fn body<'a>(&'a self, index: BodyIndex, table: Table<'a, SegmentState>) -> Part<'a> {
         let segments = self.stage.names.body(index).map_or(&[][..], |layout| &layout.segments);
         let angles = segments.iter().flat_map(|segment| {
             segment.angles.clone().map(|angle| format!("{}_{}", segment.joint, segment.angle(angle)))
@@ -307,10 +283,7 @@ impl Block {
             name: self.stage.names.body_name(index),
             angles: angles.collect(),
             segments: segments.iter().map(|segment| &*segment.name).collect(),
-            states: &SEGMENT_STATES,
-            rows,
-            width,
-            values: table.packed(),
+            table,
         }
     }
 }

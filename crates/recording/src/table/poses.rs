@@ -110,8 +110,8 @@ impl Poses {
         Ok(poses)
     }
 
-    /// Appends the rows of one `sensors` message.
-    pub(crate) fn append_message(&mut self, json: &[u8], which: Which) -> Result<(), ReadError> {
+    /// Appends the rows of one `sensors` message; its time code, where it has one.
+    pub(crate) fn append_message(&mut self, json: &[u8], which: Which) -> Result<Option<String>, ReadError> {
         let message = SensorsMessage::parse(json)?;
         for sensor in message.sensors {
             let usable = sensor.state.is_usable();
@@ -127,7 +127,7 @@ impl Poses {
                 });
             }
         }
-        Ok(())
+        Ok(message.timecode)
     }
 
     /// Writes the poses; a column `sensor` where sensors have names, quaternions and `state` where there are any.
@@ -286,6 +286,8 @@ fn unit(wxyz: [f64; 4]) -> Option<[f64; 4]> {
 #[derive(Deserialize)]
 pub(super) struct SensorsMessage {
     pub(super) t_s: f64,
+    #[serde(default)]
+    timecode: Option<String>,
     pub(super) sensors: Vec<SensorEntry>,
 }
 

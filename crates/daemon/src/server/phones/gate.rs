@@ -185,11 +185,11 @@ impl Gate {
     pub(crate) fn blink(&self, id: &str) -> bool {
         let meeting = self.lock();
         let is_it = |connection: &&Connection| connection.hello.as_ref().is_some_and(|hello| hello.id == id);
-        let told = |connection: &Connection| {
+        let asked = |connection: &Connection| {
             connection.to.try_send(ToPeer::Text(r#"{"blink":true}"#.to_owned())).is_ok()
         };
         // Of several with one id the old ones are closed: whoever takes it is the one.
-        meeting.connections.values().filter(is_it).filter(|connection| told(connection)).count() > 0
+        meeting.connections.values().filter(is_it).filter(|connection| asked(connection)).count() > 0
     }
 
     /// Those that have said who they are, by their ids; of several with one id the latest.
