@@ -10,6 +10,8 @@ const RETRY_MS = [500, 1000, 2000, 5000];
 /** The code with which the daemon closes connections where its stage has changed, and how long until another one waits, ms. */
 const STAGE_CHANGED = 1012;
 const CHANGES_MS = 50;
+/** `WebSocket.OPEN`, which is nowhere where there is no `WebSocket`. */
+const OPEN = 1;
 
 /** `lost`: it tries again by itself. `unauthorised`: it waits for another `connect`, with a token that the stage knows. */
 export type LinkState = "connecting" | "open" | "lost" | "unauthorised";
@@ -62,7 +64,6 @@ export class Client {
   /** What the stage said of itself; null while there is no connection. */
   hello: Hello | null = null;
   private socket: WebSocket | null = null;
-  private opened = false;
   private closes = false;
   private attempts = 0;
   private nextId = 1;
@@ -84,7 +85,6 @@ export class Client {
   /** Connects, and again whenever the connection breaks. */
   connect(): this {
     this.closes = false;
-    this.opened = false;
     this.options.onState?.("connecting", "");
     const token = this.token();
     const address = this.websocket() + (token === null ? "" : `?token=${encodeURIComponent(token)}`);
@@ -92,7 +92,6 @@ export class Client {
     const socket = open(address, "posed.v1");
     this.socket = socket;
     socket.onopen = () => {
-      this.opened = true;
       for (const text of this.unsent.splice(0)) socket.send(text);
     };
     socket.onmessage = ({ data }) => this.receive(JSON.parse(data as string) as ServerMessage);
@@ -131,14 +130,15 @@ export class Client {
   /** Asks the stage, while it connects as soon as it has. Resolves with the answer's result; rejects with a `Refused`. */
   request<R extends Request>(request: R): Promise<AnswerTo<R>> {
     return new Promise((resolve, reject) => {
-      if (!this.socket) {
+      // One that closes takes nothing any more, though `onclose` is still to come.
+      if (!this.socket || this.socket.readyState > OPEN) {
         reject(new Refused("lost", "not connected"));
         return;
       }
       const id = this.nextId++;
       this.waiting.set(id, { resolve: resolve as (result: unknown) => void, reject });
       const text = JSON.stringify({ ...request, id });
-      if (this.opened) this.socket.send(text);
+      if (this.socket.readyState === OPEN) this.socket.send(text);
       else this.unsent.push(text);
     });
   }

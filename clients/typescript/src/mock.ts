@@ -58,7 +58,8 @@ class MockSocket {
   onmessage: ((event: { data: string }) => void) | null = null;
   onclose: ((event: { code: number; reason: string }) => void) | null = null;
   onerror: (() => void) | null = null;
-  private closed = false;
+  /** As a `WebSocket` has it: 0 connecting, 1 open, 3 closed. */
+  readyState = 0;
   private plays = false;
   private readonly wanted = new Map<string, { choice: Subscribe; seq: number; due_s: number }>();
 
@@ -68,6 +69,8 @@ class MockSocket {
     private readonly options: MockOptions,
   ) {
     setTimeout(() => {
+      if (this.readyState > 0) return;
+      this.readyState = 1;
       this.onopen?.();
       this.say(this.hello);
     }, OPEN_MS);
@@ -91,11 +94,11 @@ class MockSocket {
   }
 
   close(): void {
-    this.closed = true;
+    this.readyState = 3;
   }
 
   private say(message: ServerMessage): void {
-    if (!this.closed) this.onmessage?.({ data: JSON.stringify(message) });
+    if (this.readyState === 1) this.onmessage?.({ data: JSON.stringify(message) });
   }
 
   private async play(): Promise<void> {
@@ -106,7 +109,7 @@ class MockSocket {
       if (!("t_s" in message)) continue;
       const wait_ms = began_ms + (1000 * (message.t_s - first_s)) / speed - performance.now();
       if (wait_ms > 0 || sent++ % BURST === 0) await new Promise((resolve) => setTimeout(resolve, Math.max(wait_ms, 0)));
-      if (this.closed) return;
+      if (this.readyState !== 1) return;
       const shown = this.shown(message);
       if (shown) this.say(shown);
     }

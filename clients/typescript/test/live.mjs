@@ -34,6 +34,15 @@ other.close();
 const marks = await marked;
 const [again] = await take("sensors", 1);
 
+// While a connection closes nothing is sent over it: a browser complains of that on its console.
+const before = sockets.at(-1);
+const silenced = [];
+before.send = (text) => silenced.push(text);
+before.close();
+const back = new Promise((resolve) => client.on("hello", resolve));
+const closing = await client.request({ type: "library.list" }).catch((error) => error);
+await back;
+
 const stream = client.frames("sensors");
 client.close();
 const { done } = await stream.next();
@@ -45,5 +54,6 @@ console.log(JSON.stringify({
   lost: (await lost).code,
   marks: marks.map(({ label }) => label),
   after: again.t_s,
+  closing: [closing.code, silenced.length],
   closed: closed.code,
 }));
