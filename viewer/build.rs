@@ -3,11 +3,15 @@
 //! Without npm the build goes on, with a page in its place that states what is missing. `POSED_VIEWER=skip` leaves npm out on
 //! purpose; with `POSED_VIEWER=require` a viewer that cannot be built is an error: for packages and for the tests.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{env, fs, io};
 
-const SOURCES: [&str; 10] = [
+use flate2::Compression;
+use flate2::write::GzEncoder;
+
+const SOURCES: [&str; 11] = [
     "src",
     "../clients/typescript/src",
     "index.html",
@@ -17,6 +21,7 @@ const SOURCES: [&str; 10] = [
     "package-lock.json",
     "tsconfig.json",
     "svelte.config.js",
+    "lean.ts",
     "vite.config.ts",
 ];
 
@@ -41,7 +46,8 @@ fn main() {
     let mut files = Vec::new();
     let listed = collect(&out, "", &mut files).and_then(|()| {
         files.sort();
-        fs::write(target.join("files.rs"), list(&files))
+        let compressed = compress(&files, &target.join("compressed"))?;
+        fs::write(target.join("files.rs"), list(&compressed))
     });
     if let Err(error) = listed {
         println!("cargo::error={}: {error}", out.display());
@@ -60,6 +66,20 @@ fn collect(folder: &Path, prefix: &str, files: &mut Vec<(String, PathBuf)>) -> i
         }
     }
     Ok(())
+}
+
+/// The files compressed into a folder, which is made anew.
+fn compress(files: &[(String, PathBuf)], folder: &Path) -> io::Result<Vec<(String, PathBuf)>> {
+    let _ = fs::remove_dir_all(folder);
+    fs::create_dir_all(folder)?;
+    let compressed = files.iter().enumerate().map(|(at, (path, file))| {
+        let into = folder.join(format!("{at}.gz"));
+        let mut gzip = GzEncoder::new(fs::File::create(&into)?, Compression::best());
+        gzip.write_all(&fs::read(file)?)?;
+        gzip.finish()?;
+        Ok((path.clone(), into))
+    });
+    compressed.collect()
 }
 
 /// An expression of Rust with every file's path and bytes.

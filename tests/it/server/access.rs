@@ -1,13 +1,15 @@
 //! Tokens, roles, origins, hosts, TLS, plain HTTP.
 
+use std::io::Read;
 use std::sync::Arc;
 
+use flate2::read::GzDecoder;
 use posed_daemon::server::{BindError, Server};
 use serde_json::json;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio_rustls::rustls;
 
-use super::harness::{OPERATE, Running, WATCH, config, get, stage, start};
+use super::harness::{OPERATE, Running, WATCH, config, get, get_bytes, stage, start};
 
 fn with_tokens() -> Running {
     let tokens = format!(
@@ -104,7 +106,19 @@ async fn page_health_and_metrics() {
         let file = ask(&asset[1..]).await;
         let kind = if asset.ends_with(".js") { "text/javascript" } else { "text/css" };
         assert!(file.starts_with("HTTP/1.1 200") && file.contains(kind), "{asset}");
+        // As browsers ask for it: compressed, once.
+        let path = &asset[1..];
+        let head =
+            format!("GET {path} HTTP/1.1\r\nHost: {}\r\nAccept-Encoding: gzip, br\r\n\r\n", server.address);
+        let answer = get_bytes(server.address, &head).await;
+        let at = answer.windows(4).position(|four| four == b"\r\n\r\n").unwrap() + 4;
+        let head = str::from_utf8(&answer[..at]).unwrap();
+        assert!(head.contains("content-encoding: gzip") && head.contains("immutable"), "{head}");
+        let mut text = String::new();
+        GzDecoder::new(&answer[at..]).read_to_string(&mut text).unwrap();
+        assert!(file.ends_with(&text) && !text.is_empty() && !file.contains("content-encoding"), "{asset}");
     }
+    assert!(page.contains("cache-control: no-store"), "{page}");
     assert!(assets.count() >= 2 || page.contains("no viewer page"), "{page}");
     assert!(ask("/assets/none.js").await.starts_with("HTTP/1.1 404"));
     assert!(ask("/assets/..%2Findex.html").await.starts_with("HTTP/1.1 404"));

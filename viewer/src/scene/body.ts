@@ -215,7 +215,7 @@ export class BodyFigure {
       this.reasons.write(said, token("ink"));
     }
     while (this.marks.length < ill.length) {
-      const mark = new THREE.Mesh(new THREE.OctahedronGeometry(0.06), new THREE.MeshStandardMaterial({ color: ILL, roughness: 0.4 }));
+      const mark = new THREE.Mesh(new THREE.OctahedronGeometry(0.06), new THREE.MeshLambertMaterial({ color: ILL }));
       this.marks.push(mark);
       this.group.add(mark);
     }

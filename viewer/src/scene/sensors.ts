@@ -97,7 +97,7 @@ export class Sensors {
       old?.geometry.dispose();
     }
     this.looks = LOOKS.map(({ geometry, colour }) =>
-      instanced(geometry(), new THREE.MeshStandardMaterial({ color: colour, roughness: 0.5 }), count));
+      instanced(geometry(), new THREE.MeshLambertMaterial({ color: colour }), count));
     this.group.add(...this.looks);
     const glass = new THREE.MeshBasicMaterial({ color: 0x7a5ac2, transparent: true, opacity: 0.22, depthWrite: false });
     this.bubbles = instanced(new THREE.SphereGeometry(1, 16, 12), glass, count);

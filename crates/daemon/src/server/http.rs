@@ -22,7 +22,8 @@ use super::phones::{self, Phones, TokenIs};
 use super::requests::Requests;
 use super::slots::{NoSlot, Slot};
 use super::takes::Takes;
-use super::{Shared, client, viewer};
+use super::viewer::{self, Coding};
+use super::{Shared, client};
 use posed_protocol::foxglove;
 use posed_protocol::{Encoding, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK};
 use posed_stage::Role;
@@ -86,8 +87,8 @@ pub(super) async fn with_slash(uri: Uri) -> Redirect {
 }
 
 /// A file of the page.
-pub(super) async fn asset(Path(name): Path<String>) -> Response {
-    viewer::file(&format!("assets/{name}"))
+pub(super) async fn asset(Path(name): Path<String>, coding: Coding) -> Response {
+    viewer::file(&format!("assets/{name}"), coding)
 }
 
 /// Checks the Host of every request, and puts the protective headers on every answer.
@@ -103,10 +104,10 @@ async fn guard(State(context): State<Arc<ConnectionContext>>, request: Request, 
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (header::X_FRAME_OPTIONS, "DENY"),
         (header::REFERRER_POLICY, "no-referrer"),
-        (header::CACHE_CONTROL, "no-store"),
     ] {
         headers.insert(name, HeaderValue::from_static(value));
     }
+    headers.entry(header::CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
     if status != StatusCode::SWITCHING_PROTOCOLS {
         // Connections that wait for a next request would hold places for nothing.
         headers.insert(header::CONNECTION, HeaderValue::from_static("close"));
@@ -140,6 +141,7 @@ pub(super) fn counts(
 pub(super) async fn root(
     shared: State<Arc<Shared>>,
     slot: SlotOf,
+    coding: Coding,
     headers: HeaderMap,
     uri: Uri,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
@@ -154,7 +156,7 @@ pub(super) async fn root(
             }
             websocket(shared, slot, headers, uri, upgrade).await
         }
-        Err(_) if !headers.contains_key(header::UPGRADE) => viewer::file("index.html"),
+        Err(_) if !headers.contains_key(header::UPGRADE) => viewer::file("index.html", coding),
         Err(rejection) => rejection.into_response(),
     }
 }

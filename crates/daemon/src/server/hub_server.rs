@@ -27,7 +27,8 @@ use super::listen::ConnectionContext;
 use super::listener::Listener;
 use super::metrics::Metrics;
 use super::remote_files::{Asked, RemoteRecordings};
-use super::{BindError, Command, Shared, StageInfo, StageServices, client, http, rfc3339, topics_of, viewer};
+use super::viewer::{self, Coding};
+use super::{BindError, Command, Shared, StageInfo, StageServices, client, http, rfc3339, topics_of};
 use crate::ports::ended;
 use posed_protocol::{
     Counters, Encoding, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK, Selection, Stages, Stamp, Topic, Wish,
@@ -131,7 +132,7 @@ impl HubServer {
         let directory = tokio::spawn(Directory::new(Arc::clone(&listener.context.metrics)).run(commands));
         let context = Arc::clone(&listener.context);
         let routes = Router::new()
-            .route("/", get(async || viewer::file("hub.html")))
+            .route("/", get(async |coding: Coding| viewer::file("hub.html", coding)))
             .route("/assets/{name}", get(http::asset))
             .route("/health", get(async || "ok\n"))
             .route("/metrics", get(metrics))
@@ -140,7 +141,9 @@ impl HubServer {
             .route("/{stage}/", get(stage_root))
             .route(
                 "/{stage}/assets/{name}",
-                get(async |PathOf((_, name)): PathOf<(String, String)>| http::asset(PathOf(name)).await),
+                get(async |PathOf((_, name)): PathOf<(String, String)>, coding: Coding| {
+                    http::asset(PathOf(name), coding).await
+                }),
             )
             .route("/{stage}/health", get(stage_health))
             .route("/{stage}/metrics", get(stage_metrics))
@@ -331,12 +334,13 @@ async fn stage_root(
     State(registry): State<StageRegistry>,
     PathOf(id): PathOf<String>,
     slot: http::SlotOf,
+    coding: Coding,
     headers: HeaderMap,
     uri: Uri,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Response {
     match registry.stage(&id) {
-        Some(shared) => http::root(State(shared), slot, headers, uri, upgrade).await,
+        Some(shared) => http::root(State(shared), slot, coding, headers, uri, upgrade).await,
         None => unknown(),
     }
 }

@@ -21,7 +21,8 @@ use super::distributor::Distributor;
 use super::hub::Hub;
 use super::listen::ConnectionContext;
 use super::metrics::Metrics;
-use super::{Outlets, PendingCall, Shared, StageInfo, StageServices, distribute, http, topics_of, viewer};
+use super::viewer::{self, Coding};
+use super::{Outlets, PendingCall, Shared, StageInfo, StageServices, distribute, http, topics_of};
 use crate::ports::ended;
 use crate::recordings::FindError;
 use posed_protocol::{Counters, Topic};
@@ -129,10 +130,12 @@ impl Takes {
     pub(super) fn routes(self) -> Router {
         Router::new()
             .route("/takes/{name}", get(http::with_slash))
-            .route("/takes/{name}/", get(async || viewer::file("index.html")))
+            .route("/takes/{name}/", get(async |coding: Coding| viewer::file("index.html", coding)))
             .route(
                 "/takes/{name}/assets/{file}",
-                get(async |PathOf((_, file)): PathOf<(String, String)>| http::asset(PathOf(file)).await),
+                get(async |PathOf((_, file)): PathOf<(String, String)>, coding: Coding| {
+                    http::asset(PathOf(file), coding).await
+                }),
             )
             .route("/takes/{name}/ws", get(websocket))
             .with_state(self)

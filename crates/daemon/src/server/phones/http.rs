@@ -13,7 +13,7 @@ use axum::routing::get;
 use super::super::access::Access;
 use super::super::http::{SlotOf, bounded, refuse};
 use super::super::listen::{ConnectionContext, Peer};
-use super::super::viewer;
+use super::super::viewer::{self, Coding};
 use super::Phones;
 use super::socket::{MESSAGE_BYTES, Phone};
 
@@ -38,7 +38,7 @@ struct Served {
 /// The page at `/phone`, the certificate below it, and `/imu`.
 pub(in crate::server) fn routes(phones: Phones, context: &Arc<ConnectionContext>, token: TokenIs) -> Router {
     Router::new()
-        .route("/phone", get(async || viewer::file("phone.html")))
+        .route("/phone", get(async |coding: Coding| viewer::file("phone.html", coding)))
         .route("/phone/authority.crt", get(authority))
         .route("/imu", get(websocket))
         .with_state(Served { phones, context: Arc::clone(context), token })
