@@ -173,7 +173,7 @@ impl PortTask {
             };
             // The log holds changes, not five attempts a second.
             if reported.as_ref() != Some(&reason) {
-                tracing::warn!("{reason}");
+                tracing::warn!(device = place.device(), "{reason}");
                 self.closed(reason.clone());
                 reported = Some(reason);
             }

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::os::unix::fs::symlink;
+use std::process::Command;
 
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use serde_json::Value;
@@ -15,7 +16,10 @@ async fn a_port_that_returns_has_poses_again_and_the_other_device_loses_nothing(
     // Behind the last table, device "one".
     let unplug = "[[simulation.device.fault]]\nkind = \"unplug\"\nat_s = 8.0\nduration_s = 2.0\n";
     let stage = two_devices(folder.path(), unplug);
-    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let log = folder.path().join("log");
+    let mut demo = Command::new(env!("CARGO_BIN_EXE_posed"));
+    demo.args(["demo", "--listen", "127.0.0.1:0", "--stage", stage.to_str().unwrap()]);
+    let posed = Posed::spawn_logged(&mut demo, fs::File::create(&log).unwrap().into());
     let mut client = posed.subscriber(&["status", "sensors"]).await;
     until(&mut client, "both devices", all_ok).await;
     let device = |status: &Value, index: usize, key: &str| status["devices"][index][key].clone();
@@ -56,6 +60,10 @@ async fn a_port_that_returns_has_poses_again_and_the_other_device_loses_nothing(
     let samples = sensor(&back, "samples") - sensor(&away, "samples");
     assert!(samples as f64 > 0.5 * expected, "{samples} samples in {seconds} s");
     assert_eq!(posed.end("TERM").await.code(), Some(0));
+    // Whoever reads the log of two alike learns which cable it is.
+    let log = fs::read_to_string(log).unwrap();
+    let gone = log.lines().filter(|line| line.contains("the port is gone")).collect::<Vec<_>>();
+    assert!(!gone.is_empty() && gone.iter().all(|line| line.contains("device=\"one\"")), "{log}");
 }
 
 /// An adapter that comes back under its old name is another device file; the handle of the first one may stay open, and silent.

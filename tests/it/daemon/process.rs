@@ -43,7 +43,12 @@ impl Posed {
 
     /// Any command that prints the line with the address.
     pub(crate) fn spawn(command: &mut Command) -> Self {
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        Self::spawn_logged(command, Stdio::null())
+    }
+
+    /// The same, with where its log goes.
+    pub(crate) fn spawn_logged(command: &mut Command, log: Stdio) -> Self {
+        let mut child = command.stdout(Stdio::piped()).stderr(log).spawn().unwrap();
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
         let address = line
