@@ -240,8 +240,8 @@ async fn the_demo_s_log_alone_gives_everything_that_was_recorded() {
     assert_eq!(daemon.end("INT").await.code(), Some(0));
     let device_bytes = log_alone(&path("full.mcap"), &path("log.mcap"));
     let size = |name: &str| std::fs::metadata(path(name)).unwrap().len();
-    // What devices send hardly compresses, nor do the times at which a busy machine reads it; the network of segments stands in front.
-    assert!(size("log.mcap") < 2 * device_bytes + 300_000, "{} for {device_bytes}", size("log.mcap"));
+    // What devices send hardly compresses; the network of segments stands in front.
+    assert!(size("log.mcap") < device_bytes * 3 / 2 + 300_000, "{} for {device_bytes}", size("log.mcap"));
     assert!(size("full.mcap") > 3 * size("log.mcap"), "{} {}", size("full.mcap"), size("log.mcap"));
 
     let export = |from: &str, to: &str, name: &str| {
