@@ -11,7 +11,7 @@ const RETRY_MS = [500, 1000, 2000, 5000];
 const STAGE_CHANGED = 1012;
 const CHANGES_MS = 50;
 /** `WebSocket.OPEN`, which is nowhere where there is no `WebSocket`. */
-const OPEN = 1;
+export const OPEN = 1;
 
 /** `lost`: it tries again by itself. `unauthorised`: it waits for another `connect`, with a token that the stage knows. */
 export type LinkState = "connecting" | "open" | "lost" | "unauthorised";

@@ -4,6 +4,7 @@
 // In: messages as lines of JSON, as `posed export take.mcap --to jsonl` writes them. Out: what behaves like the websocket of a stage, for `Options.socket`. It streams,
 // and refuses every request but those of subscriptions.
 
+import { OPEN } from "./client.js";
 import type { Feed, Hello, HelloSensor, ServerMessage, Topic } from "./posed.v1.js";
 
 export interface MockOptions {
@@ -70,7 +71,7 @@ class MockSocket {
   ) {
     setTimeout(() => {
       if (this.readyState > 0) return;
-      this.readyState = 1;
+      this.readyState = OPEN;
       this.onopen?.();
       this.say(this.hello);
     }, OPEN_MS);
@@ -98,7 +99,7 @@ class MockSocket {
   }
 
   private say(message: ServerMessage): void {
-    if (this.readyState === 1) this.onmessage?.({ data: JSON.stringify(message) });
+    if (this.readyState === OPEN) this.onmessage?.({ data: JSON.stringify(message) });
   }
 
   private async play(): Promise<void> {
@@ -109,7 +110,7 @@ class MockSocket {
       if (!("t_s" in message)) continue;
       const wait_ms = began_ms + (1000 * (message.t_s - first_s)) / speed - performance.now();
       if (wait_ms > 0 || sent++ % BURST === 0) await new Promise((resolve) => setTimeout(resolve, Math.max(wait_ms, 0)));
-      if (this.readyState !== 1) return;
+      if (this.readyState !== OPEN) return;
       const shown = this.shown(message);
       if (shown) this.say(shown);
     }
