@@ -72,8 +72,8 @@ export function leanThree(): Plugin {
 
 /** The shaders, and all parts that they include and the page needs, by path. */
 function included(): Set<string> {
-  const read = (path: string): string => withoutComments(/`([^`]*)`/.exec(readFileSync(`${SOURCES}/shaders/${path}.glsl.js`, "utf8"))?.[1] ?? "");
-  const parts = (path: string): string[] => [...readFileSync(`${SOURCES}/shaders/${path}.glsl.js`, "utf8").matchAll(/#include <(\w+)>/g)].map(([, part]) => `ShaderChunk/${part}`);
+  const read = (path: string): string => [...readFileSync(`${SOURCES}/shaders/${path}.glsl.js`, "utf8").matchAll(/`([^`]*)`/g)].map(([, glsl]) => withoutComments(glsl ?? "")).join("");
+  const parts = (path: string): string[] => [...read(path).matchAll(/#include <(\w+)>/g)].map(([, part]) => `ShaderChunk/${part}`);
   const isLeftOut = (path: string): boolean => WITHOUT.some((feature) => path.startsWith(`ShaderChunk/${feature}`)) && isConditional(read(path));
   // These it puts into every shader by itself.
   const always = readFileSync(`${SOURCES}/webgl/WebGLProgram.js`, "utf8").matchAll(/ShaderChunk\[ '(\w+)' \]/g);
