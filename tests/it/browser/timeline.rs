@@ -115,6 +115,9 @@ async fn a_take_is_played_scrubbed_and_looped_on_its_timeline() {
     // Closer, and all of it again.
     press(&mut browser, "+").await;
     browser.until("!document.getElementById('zoom-all').disabled").await;
+    // Until somebody says otherwise, whatever the daemon tells meanwhile: of how the stage is, once a second.
+    browser.pause(Duration::from_millis(2500)).await;
+    assert_eq!(browser.value("document.getElementById('zoom-all').disabled").await, false);
     press(&mut browser, "0").await;
     browser.until("document.getElementById('zoom-all').disabled").await;
 
