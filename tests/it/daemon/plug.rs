@@ -38,6 +38,9 @@ async fn a_port_that_returns_has_poses_again_and_the_other_device_loses_nothing(
     })
     .await;
     assert_eq!(device(&missing, 1, "state"), "streaming");
+    // To whoever asks only whether it is well, too; without names, for anybody is answered.
+    let health = posed.get("/health").await;
+    assert!(health.contains("\nok\ndevices: 1 of 2 streaming\n"), "{health}");
     until(&mut client, "poses again", all_ok).await;
     let back = until(&mut client, "a status after it", |message| {
         message["type"] == "status" && device(message, 0, "state") == "streaming"

@@ -25,7 +25,7 @@ use super::takes::Takes;
 use super::viewer::{self, Coding};
 use super::{Shared, client};
 use posed_protocol::foxglove;
-use posed_protocol::{Encoding, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK};
+use posed_protocol::{Encoding, LinkState, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK};
 use posed_stage::Role;
 
 /// The page loads its own files and speaks to its own server; nothing else, from nowhere else. The one style that may stand in a document
@@ -61,8 +61,8 @@ pub(super) fn guarded(routes: Router, context: Arc<ConnectionContext>) -> Router
     routes.layer(middleware::from_fn_with_state(context, guard))
 }
 
-/// Whether tracking goes on and is passed on, and by their codes the problems that `status` names; the sentences, which name files
-/// and devices, are there and in the log, for this is answered to anybody.
+/// Whether tracking goes on and is passed on, of how many devices records are coming in, and by their codes the problems that `status`
+/// names; the sentences, which name files and devices, are there and in the log, for this is answered to anybody.
 pub(super) async fn health(State(shared): State<Arc<Shared>>) -> (StatusCode, String) {
     if let Err(silent) = shared.reports.check() {
         return (StatusCode::SERVICE_UNAVAILABLE, format!("{silent}\n"));
@@ -74,8 +74,13 @@ pub(super) async fn health(State(shared): State<Arc<Shared>>) -> (StatusCode, St
         shared.problems.iter().chain(&status.problems).map(|problem| problem.code.as_str()).collect();
     codes.sort_unstable();
     codes.dedup();
-    let problems = codes.iter().map(|code| format!("problem: {code}\n"));
-    (StatusCode::OK, "ok\n".to_owned() + &problems.collect::<String>())
+    let mut says = "ok\n".to_owned();
+    if !status.devices.is_empty() {
+        let streaming = status.devices.iter().filter(|device| device.state == LinkState::Streaming).count();
+        says += &format!("devices: {streaming} of {} streaming\n", status.devices.len());
+    }
+    says.extend(codes.iter().map(|code| format!("problem: {code}\n")));
+    (StatusCode::OK, says)
 }
 
 /// Relative addresses on a page begin below its name.
