@@ -18,6 +18,7 @@ mod snapshot;
 mod stage_file;
 mod stand;
 mod tables;
+mod timecode;
 
 use posed_drivers::fuzzing as drivers;
 use posed_rig::counting::{Counting, within};
@@ -61,6 +62,7 @@ pub const TARGETS: &[Target] = &[
     target("recording", recording::recording),
     target("tables", tables::tables),
     target("stage_file", stage_file::stage_file),
+    target("timecode", timecode::timecode),
 ];
 
 const fn target(name: &'static str, run: fn(&[u8])) -> Target {

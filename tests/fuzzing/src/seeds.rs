@@ -14,10 +14,12 @@ use posed_rig::{demo, leg};
 use posed_stage::input::{Entry, Input, Model, MountedSensor, Plan, Request};
 use posed_stage::layout::ChainLayout;
 use posed_stage::{RecordingContent, Stage};
+use posed_timecode::{Counting, Frame, Reading, ltc, mtc};
 use serde_json::json;
 
 use crate::mesh;
 use crate::stand::STANDS;
+use crate::timecode::SAMPLE_RATE_HZ;
 
 /// A corpus, the name of an input, and the input.
 pub type Seed = (&'static str, String, Vec<u8>);
@@ -66,6 +68,9 @@ pub fn all() -> Vec<Seed> {
     }
     for (name, text) in STAGES {
         add("stage_file", name, text.as_bytes().to_vec());
+    }
+    for (name, data) in timecodes() {
+        add("timecode", name, data);
     }
     seeds
 }
@@ -340,6 +345,34 @@ fn mesh_messages() -> Vec<(String, Vec<u8>)> {
     }
     messages.extend(mesh::others(&STANDS[3], crate::stand::SMALL));
     messages
+}
+
+/// A third of a second around midnight as sound, two seconds as MIDI, and readings of both.
+fn timecodes() -> [(&'static str, Vec<u8>); 3] {
+    let counting = Counting { frames_per_s: 25, drop: false };
+    let first = Frame::new(23, 59, 59, 21);
+    let mut encoder = ltc::Encoder::new(SAMPLE_RATE_HZ, 25.0, counting, first);
+    let sound = (0..3600).flat_map(|_| ((encoder.sample() * 20_000.0) as i16).to_le_bytes());
+    let number = counting.number(first).expect("a frame");
+    let quarters = |time: u32| mtc::quarter_frames(counting.frame(number + 2 * time), counting);
+    let midi = (0..25).flat_map(quarters).flatten();
+    let reading = |at: u32, position_s| Reading {
+        frame: counting.frame(number + at),
+        drop: false,
+        frames_per_s: None,
+        user_bits: 0,
+        stream: 0,
+        position_s,
+        behind_s: 0.04,
+        reversed: false,
+    };
+    let place = |at: u32| f64::from(at) * 0.04;
+    let readings: Vec<_> = (0..40)
+        .map(|at| (Timestamp::from_secs_f64(place(at)), reading(at, Some(place(at)).filter(|_| at < 20))))
+        .collect();
+    let readings = rmp_serde::to_vec(&readings).expect("plain data");
+    let of = |choice: u8, bytes: Vec<u8>| [&[choice, 0], &bytes[..]].concat();
+    [("sound", of(0, sound.collect())), ("midi", of(1, midi.collect())), ("readings", of(2, readings))]
 }
 
 /// By who reads them: see `tables`.

@@ -1,6 +1,6 @@
 //! Time code that comes while a stage runs: on messages, in recordings, when it stops, and where it cannot be read.
 
-use std::fs::OpenOptions;
+use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -10,13 +10,14 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use posed_recording::Info;
-use posed_timecode::{Counting, Frame, ltc};
+use posed_timecode::{Counting, Frame, ltc, mtc};
 use serde_json::Value;
 
 use super::process::{Posed, ok, record_start, replays, two_devices, until};
 use super::recordings::FULL;
 use crate::chromium::{self, Browser};
 use crate::cli::posed;
+use crate::server::harness::Client;
 
 const COUNTING: Counting = Counting { frames_per_s: 25, drop: false };
 const FIRST: Frame = Frame::new(10, 0, 0, 0);
@@ -30,25 +31,18 @@ struct Generator {
 }
 
 impl Generator {
+    /// Writes what is due, asked by the seconds since it began.
     #[expect(clippy::disallowed_methods, reason = "a generator sends in real time")]
-    fn start(fifo: &Path) -> Self {
-        // Waits for the reader.
-        let mut fifo = OpenOptions::new().write(true).open(fifo).unwrap();
+    fn start(mut fifo: File, mut due: impl FnMut(f64) -> Vec<u8> + Send + 'static) -> Self {
         let ends = Arc::new(AtomicBool::new(false));
         let (began, asked) = (Instant::now(), Arc::clone(&ends));
         let began_s = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64();
         let thread = std::thread::spawn(move || {
-            let mut encoder = ltc::Encoder::new(48_000.0, 25.0, COUNTING, FIRST);
-            let mut written = 0;
             while !asked.load(Ordering::Relaxed) {
                 std::thread::sleep(Duration::from_millis(5));
-                let due = (began.elapsed().as_secs_f64() * 48_000.0) as u64;
-                let samples =
-                    (written..due).flat_map(|_| ((encoder.sample() * 20_000.0) as i16).to_le_bytes());
-                if fifo.write_all(&samples.collect::<Vec<u8>>()).is_err() {
+                if fifo.write_all(&due(began.elapsed().as_secs_f64())).is_err() {
                     return;
                 }
-                written = due;
             }
         });
         Self { began_s, ends, thread: Some(thread) }
@@ -57,6 +51,34 @@ impl Generator {
     /// Seconds of code at a moment, s since 1970.
     fn code_s(&self, utc_s: f64) -> f64 {
         10.0 * 3600.0 + utc_s - self.began_s
+    }
+}
+
+/// Samples of a sound card.
+fn sound() -> impl FnMut(f64) -> Vec<u8> {
+    let mut encoder = ltc::Encoder::new(48_000.0, 25.0, COUNTING, FIRST);
+    let mut written = 0;
+    move |now_s| {
+        let due = (now_s * 48_000.0) as u64;
+        let samples = (written..due).flat_map(|_| ((encoder.sample() * 20_000.0) as i16).to_le_bytes());
+        written = due;
+        samples.collect()
+    }
+}
+
+/// Quarter frames of a MIDI port.
+fn midi() -> impl FnMut(f64) -> Vec<u8> {
+    let first = COUNTING.number(FIRST).unwrap();
+    let mut written = 0;
+    move |now_s| {
+        let due = (now_s * 100.0) as u32;
+        let quarter = |at: u32| {
+            let time = mtc::quarter_frames(COUNTING.frame(first + at / 8 * 2), COUNTING);
+            time[at as usize % 8]
+        };
+        let bytes = (written..due).flat_map(quarter);
+        written = due;
+        bytes.collect()
     }
 }
 
@@ -117,25 +139,15 @@ async fn messages_and_takes_carry_the_code_and_a_generator_that_stops_is_carried
     let mut client = posed.client().await;
     client.subscribe(&["status"]).await;
     until(&mut client, "nothing comes", |message| names(message, "no samples come")).await;
-    let epoch_s = {
-        let utc = greeting(&posed).await["epoch_utc"].as_str().unwrap().to_owned();
-        utc.parse::<jiff::Timestamp>().unwrap().as_nanosecond() as f64 * 1e-9
-    };
+    let epoch_s = epoch_s(&posed).await;
     client.subscribe(&["sensors", "timecode"]).await;
-    let generator = tokio::task::spawn_blocking(move || Generator::start(&fifo)).await.unwrap();
+    let opens = move || OpenOptions::new().write(true).open(fifo).unwrap();
+    let generator = Generator::start(tokio::task::spawn_blocking(opens).await.unwrap(), sound());
     let locked = |message: &Value| message["type"] == "timecode" && message["state"] == "locked";
     let code = until(&mut client, "locked", |message| locked(message) && message["rate"] == "25").await;
     assert!(code["sigma_s"].as_f64().unwrap() < 0.01 && code["jumps"] == 0, "{code}");
     ok(&mut client, record_start("take")).await;
-    let mut compared = 0;
-    while compared < 100 {
-        let message = until(&mut client, "a frame", |message| message["type"] == "sensors").await;
-        let utc_s = epoch_s + message["t_s"].as_f64().unwrap();
-        let off_s = label_s(&message["timecode"]) - generator.code_s(utc_s);
-        // The generator writes 5 ms late, on a busy machine later: by how much a code may be off is measured elsewhere.
-        assert!(off_s.abs() < 0.04, "{off_s}: {message}");
-        compared += 1;
-    }
+    frames_have_it(&mut client, &generator, epoch_s).await;
     if chromium::is_wanted() {
         let mut browser = Browser::open(&format!("http://{}/", posed.address)).await;
         browser.until("document.getElementById('timecode')?.textContent.startsWith('10:0') === true").await;
@@ -201,10 +213,52 @@ fn lines_up(folder: &Path, take: &Path, ten_s: f64) {
     assert!(said.starts_with("timecode  10:00:0") && said.contains(" at 25, "), "{said}");
 }
 
-/// What a new client is greeted with.
-async fn greeting(posed: &Posed) -> Value {
+/// When the stage's times are 0, s since 1970, as a new client is told.
+async fn epoch_s(posed: &Posed) -> f64 {
     let (socket, _) = tokio_tungstenite::connect_async(format!("ws://{}/ws", posed.address)).await.unwrap();
-    crate::server::harness::Client { socket, protocol: None }.next().await
+    let hello = Client { socket, protocol: None }.next().await;
+    let utc: jiff::Timestamp = hello["epoch_utc"].as_str().unwrap().parse().unwrap();
+    utc.as_nanosecond() as f64 * 1e-9
+}
+
+/// A hundred frames have the generator's code.
+async fn frames_have_it(client: &mut Client, generator: &Generator, epoch_s: f64) {
+    for _ in 0..100 {
+        let message = until(client, "a frame", |message| message["type"] == "sensors").await;
+        let utc_s = epoch_s + message["t_s"].as_f64().unwrap();
+        let off_s = label_s(&message["timecode"]) - generator.code_s(utc_s);
+        // The generator writes 5 ms late, on a busy machine later: by how much a code may be off is measured elsewhere.
+        assert!(off_s.abs() < 0.04, "{off_s}: {message}");
+    }
+}
+
+#[tokio::test]
+async fn midi_carries_the_code_and_what_reads_it_begins_again_after_a_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    let fifo = fifo(folder.path());
+    let stage = two_devices(folder.path(), "[timecode]\nsignal = \"mtc\"\npath = \"ltc.pcm\"\n");
+    // A port outlives who reads it: open in both directions, a FIFO does, too.
+    let port = OpenOptions::new().read(true).write(true).open(fifo).unwrap();
+    let log = folder.path().join("log");
+    let mut demo = Command::new(env!("CARGO_BIN_EXE_posed"));
+    demo.args(["demo", "--listen", "127.0.0.1:0", "--stage", stage.to_str().unwrap()]);
+    demo.env("POSED_FAULTS", "timecode=panic@400");
+    let posed = Posed::spawn_logged(&mut demo, File::create(&log).unwrap().into());
+    let mut client = posed.subscriber(&["sensors", "status", "timecode"]).await;
+    until(&mut client, "nothing comes", |message| names(message, "the MIDI port is open")).await;
+    let epoch_s = epoch_s(&posed).await;
+    let generator = Generator::start(port, midi());
+    let locked = |message: &Value| message["type"] == "timecode" && message["state"] == "locked";
+    let code = until(&mut client, "locked", locked).await;
+    assert!(code["rate"] == "25" && code["jumps"] == 0, "{code}");
+    frames_have_it(&mut client, &generator, epoch_s).await;
+    until(&mut client, "the panic", |message| message["state"] == "holding").await;
+    let again = until(&mut client, "locked again", locked).await;
+    assert_eq!(again["jumps"], 0, "{again}");
+    frames_have_it(&mut client, &generator, epoch_s).await;
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+    let log = std::fs::read_to_string(log).unwrap();
+    assert!(log.contains("what reads it had a fault of its own"), "{log}");
 }
 
 #[tokio::test]
