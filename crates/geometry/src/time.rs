@@ -41,10 +41,11 @@ impl Timestamp {
         self.0 as f64 * 1e-9
     }
 
-    /// Seconds from `earlier` to `self`; negative when `self` is the earlier one.
+    /// Seconds from `earlier` to `self`; negative when `self` is the earlier one, and never more than 292 years: a damaged file's
+    /// times may lie further apart.
     #[inline]
     pub fn seconds_since(self, earlier: Self) -> f64 {
-        (self.0 - earlier.0) as f64 * 1e-9
+        self.0.saturating_sub(earlier.0) as f64 * 1e-9
     }
 }
 
@@ -59,5 +60,17 @@ impl Sub<Duration> for Timestamp {
     type Output = Self;
     fn sub(self, duration: Duration) -> Self {
         Self(self.0 - duration.as_nanos() as i64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Timestamp;
+
+    #[test]
+    fn times_at_both_ends_of_the_range_are_far_apart_in_the_right_order() {
+        let [first, last] = [i64::MIN, i64::MAX].map(Timestamp::from_nanos);
+        assert!(last.seconds_since(first) > 9e9 && first.seconds_since(last) < -9e9);
+        assert_eq!(last.seconds_since(last), 0.0);
     }
 }
