@@ -121,6 +121,11 @@ async fn a_take_is_played_scrubbed_and_looped_on_its_timeline() {
     press(&mut browser, "0").await;
     browser.until("document.getElementById('zoom-all').disabled").await;
 
+    // On a screen that has become narrower the cursor is beside it until the next picture, and the page no wider for that.
+    let wider_px = "((cursor, page) => { cursor.style.transform = 'translateX(3000px)'; return page.scrollWidth - page.clientWidth; }) \
+        (document.querySelector('.cursor'), document.documentElement)";
+    assert_eq!(browser.value(wider_px).await, 0);
+
     // A loop from the beginning to here: it never passes its end.
     press(&mut browser, "]").await;
     press(&mut browser, "Home").await;
