@@ -1,7 +1,6 @@
 //! Each part of a running daemon is made to panic or to hang: tracking goes on, or the program ends with a code and a sentence.
 
 use std::path::Path;
-use std::process::Command;
 use std::time::Duration;
 
 use posed_recording::Info;
@@ -14,15 +13,7 @@ use crate::server::harness::Client;
 
 /// A daemon on two virtual devices, of which this is to go wrong; its log goes to `log` in the folder.
 fn with(folder: &Path, faults: &str) -> Posed {
-    let stage = two_devices(folder, "");
-    let script = format!(
-        "exec {} demo --listen 127.0.0.1:0 --stage {} 2>{}",
-        env!("CARGO_BIN_EXE_posed"),
-        stage.display(),
-        folder.join("log").display(),
-    );
-    // The script's own stderr is nobody's.
-    Posed::spawn(Command::new("bash").args(["-c", &script]).env("POSED_FAULTS", faults))
+    Posed::demo_logged(&two_devices(folder, ""), &folder.join("log"), faults)
 }
 
 #[expect(clippy::disallowed_methods, reason = "how late a frame is, is measured")]

@@ -2,7 +2,6 @@
 
 use std::fs;
 use std::os::unix::fs::symlink;
-use std::process::Command;
 
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use serde_json::Value;
@@ -17,9 +16,7 @@ async fn a_port_that_returns_has_poses_again_and_the_other_device_loses_nothing(
     let unplug = "[[simulation.device.fault]]\nkind = \"unplug\"\nat_s = 8.0\nduration_s = 2.0\n";
     let stage = two_devices(folder.path(), unplug);
     let log = folder.path().join("log");
-    let mut demo = Command::new(env!("CARGO_BIN_EXE_posed"));
-    demo.args(["demo", "--listen", "127.0.0.1:0", "--stage", stage.to_str().unwrap()]);
-    let posed = Posed::spawn_logged(&mut demo, fs::File::create(&log).unwrap().into());
+    let posed = Posed::demo_logged(&stage, &log, "");
     let mut client = posed.subscriber(&["status", "sensors"]).await;
     until(&mut client, "both devices", all_ok).await;
     let device = |status: &Value, index: usize, key: &str| status["devices"][index][key].clone();

@@ -1,6 +1,6 @@
 //! A running `posed`, and what its clients ask of it.
 
-use std::fs;
+use std::fs::{self, File};
 use std::io::{BufRead, BufReader};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -41,13 +41,20 @@ impl Posed {
         ])
     }
 
+    /// A demo of a stage file whose log goes to a file, and of which this is to go wrong (`POSED_FAULTS`).
+    pub(crate) fn demo_logged(stage: &Path, log: &Path, faults: &str) -> Self {
+        let mut demo = Command::new(env!("CARGO_BIN_EXE_posed"));
+        demo.args(["demo", "--listen", "127.0.0.1:0", "--stage"]).arg(stage).env("POSED_FAULTS", faults);
+        Self::spawn_logged(&mut demo, File::create(log).unwrap().into())
+    }
+
     /// Any command that prints the line with the address.
     pub(crate) fn spawn(command: &mut Command) -> Self {
         Self::spawn_logged(command, Stdio::null())
     }
 
     /// The same, with where its log goes.
-    pub(crate) fn spawn_logged(command: &mut Command, log: Stdio) -> Self {
+    fn spawn_logged(command: &mut Command, log: Stdio) -> Self {
         let mut child = command.stdout(Stdio::piped()).stderr(log).spawn().unwrap();
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();

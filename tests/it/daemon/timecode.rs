@@ -240,10 +240,7 @@ async fn midi_carries_the_code_and_what_reads_it_begins_again_after_a_panic() {
     // A port outlives who reads it: open in both directions, a FIFO does, too.
     let port = OpenOptions::new().read(true).write(true).open(fifo).unwrap();
     let log = folder.path().join("log");
-    let mut demo = Command::new(env!("CARGO_BIN_EXE_posed"));
-    demo.args(["demo", "--listen", "127.0.0.1:0", "--stage", stage.to_str().unwrap()]);
-    demo.env("POSED_FAULTS", "timecode=panic@400");
-    let posed = Posed::spawn_logged(&mut demo, File::create(&log).unwrap().into());
+    let posed = Posed::demo_logged(&stage, &log, "timecode=panic@400");
     let mut client = posed.subscriber(&["sensors", "status", "timecode"]).await;
     until(&mut client, "nothing comes", |message| names(message, "the MIDI port is open")).await;
     let epoch_s = epoch_s(&posed).await;
