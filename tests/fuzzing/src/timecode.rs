@@ -29,7 +29,7 @@ pub(crate) fn timecode(data: &[u8]) {
             for (read, bytes) in bytes.chunks(READ).enumerate() {
                 let sample = |pair: &[u8]| f32::from(i16::from_le_bytes([pair[0], pair[1]])) / 32768.0;
                 let samples: Vec<f32> = bytes.chunks_exact(2).map(sample).collect();
-                let t = at_s((read + 1) as f64 * (READ / 2) as f64 / SAMPLE_RATE_HZ);
+                let t = Timestamp::from_secs_f64((read + 1) as f64 * (READ / 2) as f64 / SAMPLE_RATE_HZ);
                 decoder.push(&samples, 0, |reading| {
                     exists(&reading);
                     assert!(reading.behind_s >= 0.0 && reading.position_s.is_some_and(|s| s >= 0.0));
@@ -41,7 +41,7 @@ pub(crate) fn timecode(data: &[u8]) {
             let mut decoder = mtc::Decoder::default();
             // A quarter frame at 25 frames a second, two bytes of which come every 10 ms.
             for (read, bytes) in bytes.chunks(2).enumerate() {
-                let t = at_s(read as f64 * 0.01);
+                let t = Timestamp::from_secs_f64(read as f64 * 0.01);
                 decoder.push(t, bytes, 0, |reading| {
                     exists(&reading);
                     follow(t, &reading);
@@ -53,10 +53,6 @@ pub(crate) fn timecode(data: &[u8]) {
             readings.iter().for_each(|(t, reading)| follow(*t, reading));
         }
     }
-}
-
-fn at_s(t_s: f64) -> Timestamp {
-    Timestamp::from_secs_f64(t_s)
 }
 
 /// # Panics
