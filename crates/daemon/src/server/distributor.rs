@@ -10,6 +10,7 @@ use super::holding::Holding;
 use super::hub::Item;
 use super::metrics::Metrics;
 use super::outbox::{Outbox, Outgoing};
+use super::views::Views;
 use posed_protocol::{
     Answer, Counters, DropPolicy, Encoding, ErrorReply, Feed, Field, Fields, Names, OkReply, Payload,
     Problem, Rate, RequestId, Resumed, STREAMS, Selection, ServerMessage, Stamp, Topic, View, Wish, encode,
@@ -44,11 +45,12 @@ pub(super) enum Command {
 /// See the module.
 pub(super) struct Distributor {
     names: Arc<Names>,
-    limits: Limits,
+    /// Of those that are kept for who resumes.
+    most_events: usize,
     metrics: Arc<Metrics>,
     counters: Counters,
     clients: Vec<Client>,
-    views: Vec<SharedView>,
+    views: Views,
     /// The newest state of each stream.
     last: [Option<(Stamp, Item)>; STREAMS],
     /// What there is of the newest frame; all of it, unless it comes from elsewhere and nobody has asked for more.
@@ -84,14 +86,6 @@ struct Subscription {
     live_after: u64,
 }
 
-/// A view and how many subscriptions use it; its place is taken over once nobody does.
-struct SharedView {
-    view: View,
-    users: usize,
-    /// Body of the message being published.
-    body: Option<Arc<[u8]>>,
-}
-
 #[derive(Clone)]
 struct Event {
     stamp: Stamp,
@@ -103,11 +97,11 @@ impl Distributor {
     pub(super) fn new(names: Arc<Names>, limits: Limits, metrics: Arc<Metrics>, counters: Counters) -> Self {
         Self {
             names,
-            limits,
+            most_events: limits.events,
             metrics,
             counters,
             clients: Vec::new(),
-            views: Vec::new(),
+            views: Views::new(limits.views),
             last: std::array::from_fn(|_| None),
             held: Selection::whole(),
             events: VecDeque::new(),
@@ -147,27 +141,24 @@ impl Distributor {
             return None;
         };
         self.newest_us = self.newest_us.max(stamp.t_us);
-        for shared in &mut self.views {
-            shared.body = None;
-        }
+        self.views.begin();
         let topic = stamp.topic;
         let Self { clients, views, names, scratch, metrics, held, .. } = self;
         for client in clients {
             let Some(subscription) = &mut client.subscriptions[topic.index()] else { continue };
-            if topic == Topic::Sensors && !held.covers(&views[subscription.view].view) {
+            if topic == Topic::Sensors && !held.covers(views.get(subscription.view)) {
                 continue;
             }
             let rate = &mut client.rates[stamp.stream()];
             if !topic.is_event() && rate.as_mut().is_some_and(|rate| !rate.is_due(stamp.t_us as f64)) {
                 continue;
             }
-            let SharedView { view, body, .. } = &mut views[subscription.view];
-            let body = body.get_or_insert_with(|| {
+            let body = views.body(subscription.view, |view| {
                 metrics.bodies.inc();
                 written(&payload, &stamp, names, view, scratch)
             });
             let policy = subscription.policy;
-            client.send(&stamp, Arc::clone(body), policy, metrics);
+            client.send(&stamp, body, policy, metrics);
         }
         self.remember(stamp, item)
     }
@@ -213,7 +204,7 @@ impl Distributor {
                 let Some(Subscription { view, max_rate_hz, .. }) = subscription else { continue };
                 wish.add(topic, *max_rate_hz);
                 if topic == Topic::Sensors {
-                    let view = &self.views[*view].view;
+                    let view = self.views.get(*view);
                     wish.select(view.fields, view.sensors.as_deref());
                 }
             }
@@ -268,11 +259,11 @@ impl Distributor {
                     if begun.iter().any(|(other, _)| *other == topic) {
                         continue;
                     }
-                    match self.intern(&view.for_topic(topic)) {
+                    match self.views.take(&view.for_topic(topic)) {
                         Ok(view) => begun.push((topic, view)),
                         Err(busy) => {
                             // All or nothing: what there was before goes on.
-                            begun.iter().for_each(|(_, view)| self.views[*view].users -= 1);
+                            begun.iter().for_each(|(_, view)| self.views.release(*view));
                             return Err(busy);
                         }
                     }
@@ -284,7 +275,7 @@ impl Distributor {
                     topic.streams().for_each(|stream| self.clients[at].rates[stream] = rate);
                     let replaced = self.clients[at].subscriptions[topic.index()].replace(subscription);
                     if let Some(old) = replaced {
-                        self.views[old.view].users -= 1;
+                        self.views.release(old.view);
                     }
                     self.send_last_state(at, topic);
                 }
@@ -321,33 +312,10 @@ impl Distributor {
         Ok(View { encoding: self.clients[at].outbox.encoding(), fields, sensors })
     }
 
-    /// The place of an equal view, or a new one.
-    fn intern(&mut self, view: &View) -> Result<usize, (&'static str, String)> {
-        let equal = self.views.iter().position(|shared| shared.users > 0 && shared.view == *view);
-        let place = match equal.or_else(|| self.views.iter().position(|shared| shared.users == 0)) {
-            Some(place) => place,
-            None if self.views.len() < self.limits.views => {
-                self.views.push(SharedView { view: view.clone(), users: 0, body: None });
-                self.views.len() - 1
-            }
-            None => {
-                let message =
-                    "too many different choices of sensors and fields are in use: subscribe to all of them";
-                return Err(("busy", message.into()));
-            }
-        };
-        let shared = &mut self.views[place];
-        if shared.users == 0 {
-            shared.view = view.clone();
-        }
-        shared.users += 1;
-        Ok(place)
-    }
-
     fn unsubscribe(&mut self, at: usize, topics: &[Topic]) {
         for topic in topics {
             if let Some(old) = self.clients[at].subscriptions[topic.index()].take() {
-                self.views[old.view].users -= 1;
+                self.views.release(old.view);
             }
             topic.streams().for_each(|stream| self.clients[at].sent_us[stream] = None);
         }
@@ -362,7 +330,7 @@ impl Distributor {
             }
             return;
         }
-        if topic == Topic::Sensors && !self.held.covers(&self.views[view].view) {
+        if topic == Topic::Sensors && !self.held.covers(self.views.get(view)) {
             return;
         }
         for stream in topic.streams() {
@@ -371,7 +339,7 @@ impl Distributor {
                 && client.rates[stream].as_mut().is_none_or(|rate| rate.is_due(stamp.t_us as f64))
                 && let Some(payload) = item.payload()
             {
-                let view = &self.views[view].view;
+                let view = self.views.get(view);
                 let body = written(&payload, stamp, &self.names, view, &mut self.scratch);
                 client.send(stamp, body, policy, &self.metrics);
             }
@@ -428,7 +396,7 @@ impl Distributor {
     fn keep(&mut self, event: Event) -> Option<Item> {
         self.events.push_back(event);
         let too_old = self.newest_us.saturating_sub(EVENT_AGE_US);
-        while self.events.len() > self.limits.events
+        while self.events.len() > self.most_events
             || self.events.front().is_some_and(|oldest| oldest.stamp.t_us < too_old)
         {
             self.events.pop_front();

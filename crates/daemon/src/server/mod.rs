@@ -38,6 +38,7 @@ mod takes;
 pub(crate) mod testing;
 mod tls;
 mod viewer;
+mod views;
 mod vrpn;
 
 use std::net::SocketAddr;
