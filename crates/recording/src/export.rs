@@ -184,8 +184,8 @@ impl Export {
         let format = match self.format {
             Format::Jsonl => return Ok(jsonl(recording, output, progress)?),
             Format::Csv => return Ok(csv(recording, output, self.frame, progress)?),
-            Format::Mcap => return Ok(anew(recording, output, RecordingContent::Full, progress)?),
-            Format::Columns => return Ok(anew(recording, output, RecordingContent::Log, progress)?),
+            Format::Mcap => return Ok(anew(recording, output, Anew::Full, progress)?),
+            Format::Columns => return Ok(anew(recording, output, Anew::Columns, progress)?),
             Format::Bvh => animation::Format::Bvh(self.bones),
             Format::Trc => animation::Format::Trc,
             Format::Glb => animation::Format::Glb,
@@ -237,21 +237,32 @@ pub enum AnewError {
     Write(#[from] WriteError),
 }
 
-/// Writes a recording anew, as this version makes it of the log: with as much beside the log as `content` says, its columns and its digest; returns the
-/// number of messages that follow from it. A torn recording gives what it has. `progress` receives the bytes of the recording read so far and says whether to go on.
+/// Which recording is made of another one's log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Anew {
+    /// The one with everything; with columns where its stage file asks for them.
+    Full,
+    /// The one with columns.
+    Columns,
+}
+
+/// Writes a recording anew, as this version makes it of the log, with its digest; returns the number of messages that follow from it. A torn recording gives what it has. `progress` receives the bytes of the recording read so far and says whether to go on.
 ///
 /// # Errors
 /// The recording cannot be read, is of another version, or the file cannot be written; nothing is left behind.
-pub fn anew(
+fn anew(
     recording: &Path,
     output: &Path,
-    content: RecordingContent,
+    which: Anew,
     mut progress: impl FnMut(u64) -> bool,
 ) -> Result<u64, AnewError> {
     let mut reader = Reader::open(recording)?;
-    let header = Header { content, ..reader.header().clone() };
     let file = AtomicFile::create(output).map_err(WriteError::from)?;
-    let mut scribe = Scribe::new(file, header)?;
+    let header = |content| Header { content, ..reader.header().clone() };
+    let mut scribe = match which {
+        Anew::Full => Scribe::new(file, header(RecordingContent::Full))?,
+        Anew::Columns => Scribe::with_columns(file, header(RecordingContent::Log))?,
+    };
     let mut messages = 0;
     while let Some(item) = reader.next() {
         go_on(progress(reader.bytes_read()))?;

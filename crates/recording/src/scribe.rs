@@ -15,8 +15,8 @@ use super::writer::{WriteError, Writer};
 use posed_pipeline::Pipeline;
 use posed_protocol::foxglove::Views;
 use posed_protocol::{Payload, schema};
-use posed_stage::RecordingContent;
 use posed_stage::input::{DeviceIndex, Entry};
+use posed_stage::{RecordingContent, Stage};
 
 /// Writes entries, and what follows from them.
 pub struct Scribe<W: Write> {
@@ -24,22 +24,42 @@ pub struct Scribe<W: Write> {
     views: Views,
     content: RecordingContent,
     digester: Digester,
-    columns: Columns,
+    columns: Option<Columns>,
     writer: Writer<W>,
 }
 
 impl<W: Write> Scribe<W> {
-    /// Begins a recording, with the state that its header holds.
+    /// Begins a recording, with the state that its header holds and columns where its stage file asks for them.
     ///
     /// # Errors
     /// The header's stage file or snapshot is of another version, the sink refuses, or a part of the header is too large.
     pub fn new(sink: W, header: Header) -> Result<Self, WriteError> {
         let (stage, machine) = Machine::as_recorded(&header)?;
+        let columns = stage.recording.columns.then(|| Columns::new(&stage));
+        Self::begin(sink, header, &stage, machine, columns)
+    }
+
+    /// As [`Scribe::new`], with columns in any case.
+    ///
+    /// # Errors
+    /// As for [`Scribe::new`].
+    pub(super) fn with_columns(sink: W, header: Header) -> Result<Self, WriteError> {
+        let (stage, machine) = Machine::as_recorded(&header)?;
+        let columns = Some(Columns::new(&stage));
+        Self::begin(sink, header, &stage, machine, columns)
+    }
+
+    fn begin(
+        sink: W,
+        header: Header,
+        stage: &Stage,
+        machine: Machine,
+        columns: Option<Columns>,
+    ) -> Result<Self, WriteError> {
         let content = header.content;
-        let mut views = Views::new(&stage, header.epoch_utc_ns, content);
+        let mut views = Views::new(stage, header.epoch_utc_ns, content);
         header.models.iter().for_each(|model| views.swap(model));
-        let digester = Digester::new(&stage, header.begun);
-        let columns = Columns::new(&stage);
+        let digester = Digester::new(stage, header.begun);
         let mut writer = Writer::new(sink, header)?;
         schema::of_topics().iter().for_each(|(topic, schema)| writer.declare(topic, schema));
         Ok(Self { machine, views, content, digester, columns, writer })
@@ -80,9 +100,8 @@ impl<W: Write> Scribe<W> {
                     written = Err(error);
                 }
             });
-            if let (Ok(_), Some(Err(error))) =
-                (&written, columns.publish(&payload, &stamp).map(|block| writer.columns(&block)))
-            {
+            let block = columns.as_mut().and_then(|columns| columns.publish(&payload, &stamp));
+            if let (Ok(_), Some(Err(error))) = (&written, block.map(|block| writer.columns(&block))) {
                 written = Err(error);
             }
         });
@@ -111,7 +130,9 @@ impl<W: Write> Scribe<W> {
     /// The sink refuses.
     pub fn finish(self, reason: &str) -> Result<W, WriteError> {
         let Self { mut writer, columns, digester, .. } = self;
-        writer.columns(&columns.finish())?;
+        if let Some(columns) = columns {
+            writer.columns(&columns.finish())?;
+        }
         writer.digest(&digester.finish())?;
         writer.finish(reason)
     }

@@ -624,7 +624,7 @@ pub struct Recording {
     pub folder: Option<PathBuf>,
     /// What recordings hold beside the input log, from which everything else can be made anew.
     pub content: RecordingContent,
-    /// Whether they hold poses, angles and events as columns, too, which are data frames at once; four fifths more of the disk. Without them a reader needs the
+    /// Whether they hold poses, angles and events as columns, too, which are data frames at once; two thirds more of the disk. Without them a reader needs the
     /// program, and a replay.
     pub columns: bool,
 }

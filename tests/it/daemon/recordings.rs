@@ -238,10 +238,14 @@ async fn the_demo_s_log_alone_gives_everything_that_was_recorded() {
         until(&mut client, "a body", |message| message["type"] == "body").await;
     }
     assert_eq!(daemon.end("INT").await.code(), Some(0));
-    let device_bytes = log_alone(&path("full.mcap"), &path("log.mcap"));
+    let device_bytes = log_alone(&path("full.mcap"), &path("log.mcap"), true);
+    log_alone(&path("full.mcap"), &path("bare.mcap"), false);
     let size = |name: &str| std::fs::metadata(path(name)).unwrap().len();
+    let (bare, columns) = (size("bare.mcap"), size("log.mcap") - size("bare.mcap"));
     // What devices send hardly compresses; the network of segments stands in front.
-    assert!(size("log.mcap") < device_bytes * 3 / 2 + 300_000, "{} for {device_bytes}", size("log.mcap"));
+    assert!(bare < device_bytes * 3 / 2 + 300_000, "{bare} for {device_bytes}");
+    // Every sensor and segment has numbers a hundred times a second, and each byte counts.
+    assert!(columns < device_bytes, "{columns} for {device_bytes}");
     assert!(size("full.mcap") > 3 * size("log.mcap"), "{} {}", size("full.mcap"), size("log.mcap"));
 
     let export = |from: &str, to: &str, name: &str| {
@@ -267,12 +271,22 @@ async fn the_demo_s_log_alone_gives_everything_that_was_recorded() {
     }
     assert!(made.is_empty(), "{:?}", made.keys());
     viewed(&path("log.mcap"));
+
+    // Who did not ask for columns has none, until they are asked for.
+    let columns = |file: &[u8]| messages(file).remove("/columns");
+    assert!(columns(&std::fs::read(path("bare.mcap")).unwrap()).is_none());
+    let live = columns(&live);
+    assert!(live.is_some() && columns(&export("bare.mcap", "columns", "asked.mcap")) == live);
 }
 
-/// Writes the log of a recording as one that holds no more; the number of bytes of its devices.
-fn log_alone(full: &Path, lean: &Path) -> u64 {
+/// Writes the log of a recording as one that holds no more, or no more than its columns beside it; the number of bytes of its devices.
+fn log_alone(full: &Path, lean: &Path, columns: bool) -> u64 {
     let mut reader = Reader::open(full).unwrap();
-    let header = Header { content: RecordingContent::Log, ..reader.header().clone() };
+    let mut header = Header { content: RecordingContent::Log, ..reader.header().clone() };
+    if !columns {
+        assert!(header.stage_toml.ends_with(FULL));
+        header.stage_toml += "columns = false\n";
+    }
     let mut scribe = Scribe::new(std::fs::File::create(lean).unwrap(), header).unwrap();
     let mut device_bytes = 0;
     for item in reader.by_ref() {

@@ -49,9 +49,10 @@ class _Table(msgspec.Struct):
     values: bytes
 
     def numbers(self, columns: slice) -> Ints:
-        """(columns, rows): packed as planes of bytes, of the differences along each column."""
+        """(columns, rows): packed as planes of bytes, of the differences along each column in zigzag coding."""
         planes = np.frombuffer(self.values, dtype=np.uint8).reshape(4, self.width, self.rows)[:, columns]
-        differences = np.ascontiguousarray(np.moveaxis(planes, 0, -1)).view("<i4")[..., 0]
+        packed = np.ascontiguousarray(np.moveaxis(planes, 0, -1)).view("<u4")[..., 0]
+        differences = (packed >> 1).view(np.int32) ^ -(packed & 1).view(np.int32)
         return np.cumsum(differences, axis=1, dtype=np.int32)
 
 

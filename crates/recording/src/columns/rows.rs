@@ -85,8 +85,8 @@ impl Rows {
         Some(Table { states, rows, width, values: self.packed(rows, width) })
     }
 
-    /// Column by column the difference of each number to the one before it, the first to 0, modulo 2^32; of all of these the lowest bytes first, then the second
-    /// ones and so on. What moves smoothly has high bytes that are all the same, and packs to little more than its noise.
+    /// Column by column the difference of each number to the one before it, the first to 0, modulo 2^32, in zigzag coding; of all of these the lowest
+    /// bytes first, then the second ones and so on. What moves smoothly has high bytes that are all 0, and packs to little more than its noise.
     fn packed(&self, rows: usize, width: usize) -> Vec<u8> {
         let mut bytes = vec![0; 4 * self.values.len()];
         let plane = self.values.len();
@@ -94,15 +94,20 @@ impl Rows {
             let mut before = 0_i32;
             let numbers = self.values.iter().skip(column).step_by(width);
             for (place, number) in (column * rows..).zip(numbers) {
-                let difference = number.wrapping_sub(before).to_le_bytes();
+                let difference = number.wrapping_sub(before);
                 before = *number;
-                for (at, byte) in difference.into_iter().enumerate() {
+                for (at, byte) in zigzag(difference).to_le_bytes().into_iter().enumerate() {
                     bytes[at * plane + place] = byte;
                 }
             }
         }
         bytes
     }
+}
+
+/// 0, -1, 1, -2 as 0, 1, 2, 3: small numbers of either sign have high bytes that are 0.
+fn zigzag(number: i32) -> i32 {
+    (number << 1) ^ (number >> 31)
 }
 
 /// The nearest step, as messages round it; what is no number is not known.

@@ -53,7 +53,8 @@ fn unpacked(rows: usize, width: usize, bytes: &[u8]) -> Vec<Vec<i32>> {
     for (at, column) in columns.iter_mut().enumerate() {
         let mut before = 0_i32;
         for row in 0..rows {
-            before = before.wrapping_add(number(at * rows + row));
+            let packed = number(at * rows + row).cast_unsigned();
+            before = before.wrapping_add((packed >> 1).cast_signed() ^ -(packed & 1).cast_signed());
             column.push(before);
         }
     }
