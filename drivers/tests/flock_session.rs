@@ -29,6 +29,8 @@ struct Unit {
     /// It takes and gives nothing before then.
     unresponsive_until: Timestamp,
     next_cycle: Timestamp,
+    /// How long after it was asked to stream it sends its first record.
+    late: Duration,
     cycle: u32,
     out: Vec<(Timestamp, Vec<u8>)>,
     commands_seen: Vec<Command>,
@@ -63,6 +65,7 @@ impl Unit {
             deaf: Vec::new(),
             unresponsive_until: Timestamp::ZERO,
             next_cycle: Timestamp::ZERO,
+            late: Duration::ZERO,
             cycle: 0,
             out: Vec::new(),
             commands_seen: Vec::new(),
@@ -119,7 +122,7 @@ impl Unit {
             }
             Command::Stream => {
                 self.streaming = true;
-                self.next_cycle = now + CYCLE;
+                self.next_cycle = now + CYCLE.max(self.late);
             }
             Command::Run => self.running = true,
             Command::Format(_) if self.dead.contains(&to) || self.deaf.contains(&to) => {}
@@ -294,6 +297,22 @@ fn a_flock_of_two_is_set_up_and_streams() {
     assert!(bench.session.records_settling() > 0);
     assert!((bench.session.rate_hz().unwrap() - 103.3).abs() < 0.01);
     assert!(bench.unit.commands_seen.contains(&Command::Change { parameter: 0x32, data: vec![2] }));
+}
+
+#[test]
+fn a_first_record_that_is_late_is_no_silence_but_one_that_never_comes_is() {
+    for (late, is_silent) in [(Duration::from_millis(800), false), (Duration::from_secs(5), true)] {
+        let mut bench = Bench::new(Settings::default(), &[1], Unit { late, ..Unit::flock(1) });
+        bench.open(false);
+        bench.run(4.0);
+        let silent = bench.states.iter().find_map(|(_, state)| match state {
+            State::Silent { reason } => Some(reason.as_str()),
+            _ => None,
+        });
+        let expected =
+            is_silent.then_some("no record for 1000 ms; check the unit's power, FLY switch and cable");
+        assert_eq!(silent, expected, "{late:?}");
+    }
 }
 
 #[test]

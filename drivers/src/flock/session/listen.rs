@@ -36,6 +36,7 @@ impl FlockSession {
         self.phase = Phase::Streaming(Box::new(Streaming {
             splitter,
             silence: SILENCE,
+            heard_at: now,
             silent_at: now + SILENCE,
             settled_at: now,
             poll: None,

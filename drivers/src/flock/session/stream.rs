@@ -26,13 +26,17 @@ const STRANGERS_TO_SET_UP: u8 = 4;
 pub(super) const NEWCOMER: &str = "a bird that was missing has appeared; the flock is set up again with it";
 /// Shortest silence that counts as one.
 const MIN_SILENCE: Duration = Duration::from_millis(250);
+/// And before the first record: a busy computer may be late with what it sends to set a unit up.
+const START: Duration = Duration::from_secs(1);
 /// A reply to POINT that has not come by then was lost.
 pub(super) const POINT_LIMIT: Duration = Duration::from_millis(100);
 
 #[derive(Clone, Debug, Plain)]
 pub(super) struct Streaming {
     pub(super) splitter: Splitter,
+    /// Silence that counts as one between two records.
     pub(super) silence: Duration,
+    pub(super) heard_at: Timestamp,
     pub(super) silent_at: Timestamp,
     pub(super) settled_at: Timestamp,
     /// Birds that came back into the stream, and until when their poses are not believed.
@@ -100,7 +104,8 @@ impl FlockSession {
         self.phase = Phase::Streaming(Box::new(Streaming {
             splitter,
             silence,
-            silent_at: now + silence,
+            heard_at: now,
+            silent_at: now + silence.max(START),
             settled_at: now + SETTLE,
             returned: Vec::new(),
             strangers: 0,
@@ -192,6 +197,7 @@ impl FlockSession {
             return self.examine(now);
         }
         if received {
+            streaming.heard_at = now;
             streaming.silent_at = now + streaming.silence;
             self.pause = FIRST_PAUSE;
             if let Some(poll) = &mut streaming.poll
@@ -208,12 +214,12 @@ impl FlockSession {
             if self.settings.mode == Mode::Listen {
                 return self.received_nothing(now, streaming);
             }
-            let silence_ms = streaming.silence.as_millis();
+            let silence_ms = 1e3 * streaming.silent_at.seconds_since(streaming.heard_at);
             self.phase = Phase::Streaming(streaming);
             self.leave_stream();
             self.set_state(State::Silent {
                 reason: format!(
-                    "no record for {silence_ms} ms; check the unit's power, FLY switch and cable"
+                    "no record for {silence_ms:.0} ms; check the unit's power, FLY switch and cable"
                 ),
             });
             return self.examine(now);
