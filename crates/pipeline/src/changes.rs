@@ -28,7 +28,7 @@ impl Pipeline {
         }
     }
 
-    pub(super) fn swap(&mut self, model: &Model, emit: &mut impl FnMut(Output<'_>)) {
+    pub(super) fn swap(&mut self, model: &Model, emit: &mut dyn FnMut(Output<'_>)) {
         let accepted = self.check_model(model).is_ok() && self.apply(model);
         if !accepted {
             self.models_refused += 1;
@@ -71,7 +71,7 @@ impl Pipeline {
         &mut self,
         device: DeviceIndex,
         sensor: Option<SensorIndex>,
-        emit: &mut impl FnMut(Output<'_>),
+        emit: &mut dyn FnMut(Output<'_>),
     ) {
         let body = self.wearer_of(sensor);
         let done = body.is_some_and(|body| self.bodies[usize::from(body)].reset_heading(None, 0.0));
@@ -120,7 +120,7 @@ impl Pipeline {
         ))
     }
 
-    pub(super) fn request(&mut self, request: &Request, emit: &mut impl FnMut(Output<'_>)) {
+    pub(super) fn request(&mut self, request: &Request, emit: &mut dyn FnMut(Output<'_>)) {
         // It speaks of the frame before it.
         let t = self.estimate.t_valid;
         let done = match request {

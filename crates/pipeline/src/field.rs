@@ -105,7 +105,7 @@ impl Field {
         request: &Request,
         t: Timestamp,
         names: impl Iterator<Item = &'a str> + Clone,
-        emit: &mut impl FnMut(Output<'_>),
+        emit: &mut dyn FnMut(Output<'_>),
     ) -> bool {
         match request {
             Request::FieldStart { sensors, spacing_m } => {
@@ -142,7 +142,7 @@ impl Field {
         estimate: &Estimate,
         sensors: &[Sensor],
         room: &Isometry3<f64>,
-        emit: &mut impl FnMut(Output<'_>),
+        emit: &mut dyn FnMut(Output<'_>),
     ) {
         let t = estimate.t_valid;
         let Self { watch, collecting, .. } = self;
@@ -164,7 +164,7 @@ impl Field {
     }
 }
 
-fn report(t: Timestamp, news: FieldNews, emit: &mut impl FnMut(Output<'_>)) {
+fn report(t: Timestamp, news: FieldNews, emit: &mut dyn FnMut(Output<'_>)) {
     let what = OutcomeKind::Field(news);
     emit(Output::Outcome(&Outcome { t_valid: t, t_decided: t, what }));
 }

@@ -143,7 +143,7 @@ impl Keyframes {
     }
 
     /// Reports what became known with the frame.
-    pub(super) fn outcomes(&mut self, estimate: &Estimate, emit: &mut impl FnMut(Output<'_>)) {
+    pub(super) fn outcomes(&mut self, estimate: &Estimate, emit: &mut dyn FnMut(Output<'_>)) {
         for (t_valid, event) in self.events.drain(..) {
             let what = OutcomeKind::KeyPose(event);
             emit(Output::Outcome(&Outcome { t_valid, t_decided: estimate.t_valid, what }));

@@ -244,7 +244,7 @@ impl Pipeline {
     ///
     /// Its time is the latest that an entry had: one that is earlier does not set it back. Of bytes and lines of a device that
     /// the stage does not have, only the time is taken. Nothing can fail: what is wrong is counted ([`Self::status`]).
-    pub fn push(&mut self, entry: &Entry, emit: &mut impl FnMut(Output<'_>)) {
+    pub fn push(&mut self, entry: &Entry, emit: &mut dyn FnMut(Output<'_>)) {
         self.now = self.now.max(entry.t);
         let now = self.now;
         match &entry.input {
@@ -343,7 +343,7 @@ impl Pipeline {
         }
     }
 
-    fn line(&mut self, device: DeviceIndex, event: &LineEvent, emit: &mut impl FnMut(Output<'_>)) {
+    fn line(&mut self, device: DeviceIndex, event: &LineEvent, emit: &mut dyn FnMut(Output<'_>)) {
         let capped;
         let event = match event {
             LineEvent::Dropped { bytes } if *bytes > MOST_DROPPED_BYTES => {
@@ -371,7 +371,7 @@ impl Pipeline {
     }
 
     /// All that a session has to say.
-    fn drain(&mut self, device: DeviceIndex, emit: &mut impl FnMut(Output<'_>)) {
+    fn drain(&mut self, device: DeviceIndex, emit: &mut dyn FnMut(Output<'_>)) {
         let index = usize::from(device);
         while let Some(output) = self.devices[index].session.get_mut().poll_output() {
             match output {
@@ -448,7 +448,7 @@ impl Pipeline {
         }
     }
 
-    fn close_frames(&mut self, emit: &mut impl FnMut(Output<'_>)) {
+    fn close_frames(&mut self, emit: &mut dyn FnMut(Output<'_>)) {
         let Self {
             frames,
             sensors,
@@ -501,7 +501,7 @@ impl Pipeline {
         }
     }
 
-    fn name_with(&mut self, bytes: &[u8], emit: &mut impl FnMut(Output<'_>)) {
+    fn name_with(&mut self, bytes: &[u8], emit: &mut dyn FnMut(Output<'_>)) {
         // Whoever sends one has looked first, to say what is wrong.
         let Ok(model) = segments::Model::from_bytes(bytes) else {
             self.models_refused += 1;

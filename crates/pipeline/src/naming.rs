@@ -95,7 +95,7 @@ impl Naming {
     }
 
     /// Takes the place of another model, whose open segments nobody will decide on.
-    pub(super) fn follow(&mut self, before: &mut Self, t: Timestamp, emit: &mut impl FnMut(Output<'_>)) {
+    pub(super) fn follow(&mut self, before: &mut Self, t: Timestamp, emit: &mut dyn FnMut(Output<'_>)) {
         let Self { body, model, open, segments, last, .. } = before;
         self.segments = *segments;
         let gone = std::mem::take(open);
@@ -113,7 +113,7 @@ impl Naming {
         &mut self,
         estimate: &Estimate,
         body: Option<&Body>,
-        emit: &mut impl FnMut(Output<'_>),
+        emit: &mut dyn FnMut(Output<'_>),
     ) {
         for (position, joint) in self.positions.iter_mut().zip(&self.joints) {
             let sensor = joint.sensor.and_then(|sensor| estimate.sensors.get(usize::from(sensor)));
@@ -135,17 +135,17 @@ impl Naming {
 }
 
 /// From ticks to events, during one frame.
-struct Events<'a, F> {
+struct Events<'a> {
     body: Option<BodyIndex>,
     model: &'a Model,
     open: &'a mut VecDeque<Open>,
     segments: &'a mut u64,
     last: &'a mut [Option<(u16, f64)>; 2],
     t_decided: Timestamp,
-    emit: &'a mut F,
+    emit: &'a mut dyn FnMut(Output<'_>),
 }
 
-impl<F: FnMut(Output<'_>)> Events<'_, F> {
+impl Events<'_> {
     fn take(&mut self, tick: Tick) {
         let which = usize::from(!tick.provisional);
         // After a gap everything begins anew.

@@ -324,7 +324,7 @@ impl Sensor {
     }
 
     /// Reports which fault began or ended with this frame.
-    pub(super) fn outcomes(&mut self, sensor: SensorIndex, frame: &Frame, emit: &mut impl FnMut(Output<'_>)) {
+    pub(super) fn outcomes(&mut self, sensor: SensorIndex, frame: &Frame, emit: &mut dyn FnMut(Output<'_>)) {
         if self.fault == self.published {
             return;
         }

@@ -182,7 +182,7 @@ impl SupervisedPipeline {
     ///
     /// # Panics
     /// Where `emit` does, and where the pipeline cannot begin anew either: throw it away then.
-    pub fn push(&mut self, entry: &Entry, emit: &mut impl FnMut(Output<'_>)) {
+    pub fn push(&mut self, entry: &Entry, emit: &mut dyn FnMut(Output<'_>)) {
         if self.checkpoint.is_due(self.pipeline.now.max(entry.t)) {
             self.checkpoint.renew(&self.pipeline);
         }
@@ -206,7 +206,7 @@ impl SupervisedPipeline {
     fn attempt(
         &mut self,
         entry: &Entry,
-        emit: &mut impl FnMut(Output<'_>),
+        emit: &mut dyn FnMut(Output<'_>),
     ) -> Result<(), Box<dyn Any + Send>> {
         let mut emitting = false;
         #[cfg(feature = "fault-points")]
@@ -225,7 +225,7 @@ impl SupervisedPipeline {
     }
 
     /// Goes on after a panic at an entry.
-    fn recover(&mut self, entry: &Entry, panic: Box<dyn Any + Send>, emit: &mut impl FnMut(Output<'_>)) {
+    fn recover(&mut self, entry: &Entry, panic: Box<dyn Any + Send>, emit: &mut dyn FnMut(Output<'_>)) {
         let now = self.pipeline.now.max(entry.t);
         let mut recoveries = self.pipeline.recoveries.clone();
         if recoveries.last.is_some_and(|last| now.seconds_since(last) > CALM_S) {

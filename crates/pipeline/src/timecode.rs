@@ -32,7 +32,7 @@ impl Timecode {
     }
 
     /// Reports where the code lies, if it is time.
-    pub(super) fn report(&mut self, now: Timestamp, emit: &mut impl FnMut(Output<'_>)) {
+    pub(super) fn report(&mut self, now: Timestamp, emit: &mut dyn FnMut(Output<'_>)) {
         let is_due = self.changed || self.next.is_some_and(|next| next <= now);
         let Some(relation) = self.follower.relation().filter(|_| is_due) else { return };
         self.changed = false;

@@ -166,7 +166,7 @@ impl ExerciseStage {
     }
 
     /// Counts what is loaded for the default subjects, those that have not selected anything.
-    pub(super) fn loaded(&mut self, estimate: &Estimate, emit: &mut impl FnMut(&Outcome)) {
+    pub(super) fn loaded(&mut self, estimate: &Estimate, emit: &mut dyn FnMut(&Outcome)) {
         for subject in self.default_subjects() {
             if !self.subjects.iter().any(|known| known.name() == subject && known.has_selected()) {
                 self.loaded_for(&subject, estimate, emit);
@@ -174,7 +174,7 @@ impl ExerciseStage {
         }
     }
 
-    fn loaded_for(&mut self, subject: &str, estimate: &Estimate, emit: &mut impl FnMut(&Outcome)) {
+    fn loaded_for(&mut self, subject: &str, estimate: &Estimate, emit: &mut dyn FnMut(&Outcome)) {
         let Ok(body) = self.counted(subject, None).map(|body| body.cloned()) else { return };
         let has_channels = |exercise: &&Exercise| self.check_channels(exercise, body.as_ref()).is_ok();
         // Exercises of other frame rates have to be selected alone.
@@ -241,7 +241,7 @@ impl ExerciseStage {
         &mut self,
         request: &Request,
         estimate: &Estimate,
-        emit: &mut impl FnMut(&Outcome),
+        emit: &mut dyn FnMut(&Outcome),
     ) -> bool {
         if self.check(request).is_err() {
             return false;
@@ -274,7 +274,7 @@ impl ExerciseStage {
         &mut self,
         estimate: &Estimate,
         latest: impl Fn(BodyIndex) -> Option<&'a Body>,
-        emit: &mut impl FnMut(&Outcome),
+        emit: &mut dyn FnMut(&Outcome),
     ) {
         if self.subjects.is_empty() {
             return;
@@ -339,7 +339,7 @@ impl ExerciseStage {
         Ok(exercises)
     }
 
-    fn select(&mut self, new: Subject, estimate: &Estimate, emit: &mut impl FnMut(&Outcome)) {
+    fn select(&mut self, new: Subject, estimate: &Estimate, emit: &mut dyn FnMut(&Outcome)) {
         new.say_state(estimate.t_valid, emit);
         match self.subjects.iter_mut().find(|known| known.name() == new.name()) {
             Some(known) => *known = new,

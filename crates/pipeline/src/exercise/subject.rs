@@ -93,7 +93,7 @@ impl Subject {
     }
 
     /// Counts from 0 again; what is under way goes on.
-    pub(super) fn reset(&mut self, t: Timestamp, emit: &mut impl FnMut(&Outcome)) {
+    pub(super) fn reset(&mut self, t: Timestamp, emit: &mut dyn FnMut(&Outcome)) {
         for progress in &mut self.exercises {
             (progress.count, progress.sets, progress.set_count) = (0, 0, 0);
             progress.rest_until_s = None;
@@ -102,7 +102,7 @@ impl Subject {
     }
 
     /// Reports what is counted and how far it is.
-    pub(super) fn say_state(&self, t: Timestamp, emit: &mut impl FnMut(&Outcome)) {
+    pub(super) fn say_state(&self, t: Timestamp, emit: &mut dyn FnMut(&Outcome)) {
         let Plan { repetitions, sets, rest_s } = self.plan;
         let exercises = self.exercises.iter().map(|progress| progress.state(&self.plan)).collect();
         let body = self.body.as_ref().map(ToString::to_string);
@@ -111,7 +111,7 @@ impl Subject {
     }
 
     /// Follows a frame with the row of signals.
-    pub(super) fn frame(&mut self, t: Timestamp, row: &[Option<f64>], emit: &mut impl FnMut(&Outcome)) {
+    pub(super) fn frame(&mut self, t: Timestamp, row: &[Option<f64>], emit: &mut dyn FnMut(&Outcome)) {
         let Some(mut counter) = self.counter.take() else { return };
         let t_s = t.as_secs_f64();
         counter.push(t_s, row, &mut |event| self.event(t, event, emit));
@@ -124,7 +124,7 @@ impl Subject {
         }
     }
 
-    fn event(&mut self, t: Timestamp, event: Event, emit: &mut impl FnMut(&Outcome)) {
+    fn event(&mut self, t: Timestamp, event: Event, emit: &mut dyn FnMut(&Outcome)) {
         let plan = self.plan;
         let progress = &mut self.exercises[event.exercise];
         let mut completed = false;
@@ -163,7 +163,7 @@ impl Subject {
     }
 
     /// Reports what deviates now, when that changes.
-    fn hint(&mut self, t: Timestamp, hint: Option<Hint>, counter: &Counter, emit: &mut impl FnMut(&Outcome)) {
+    fn hint(&mut self, t: Timestamp, hint: Option<Hint>, counter: &Counter, emit: &mut dyn FnMut(&Outcome)) {
         let remark = hint.and_then(|hint| hint.remark(counter.exercises().nth(hint.exercise)?));
         let what = hint.and_then(|hint| {
             let deviates = remark.map(|_| (hint.channel, hint.deviation > 0.0));
@@ -192,7 +192,7 @@ impl Subject {
         t_valid: Timestamp,
         t_decided: Timestamp,
         what: ExerciseWhat,
-        emit: &mut impl FnMut(&Outcome),
+        emit: &mut dyn FnMut(&Outcome),
     ) {
         let what = OutcomeKind::Exercise(ExerciseOutcome { subject: self.name.clone(), what });
         emit(&Outcome { t_valid, t_decided, what });
