@@ -4,6 +4,7 @@
 
 mod damage;
 mod fastrak;
+mod flock;
 mod fuzz_bodies;
 mod matrix;
 mod motionstar;

@@ -1,7 +1,5 @@
 //! Damage on the line: what the splitter publishes, loses and counts.
 
-#![expect(clippy::unwrap_used, reason = "a test helper may panic")]
-
 use std::time::Duration;
 
 use posed_drivers::flock::parser::{Event, Splitter};

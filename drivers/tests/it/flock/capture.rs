@@ -1,7 +1,5 @@
 //! Captures of real units, and captures made here to know every byte.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests may panic")]
-
 use posed_drivers::flock::capture::{CaptureError, Decoded, Options, decode};
 use posed_drivers::flock::wire::{Format, Range, Scale, Shape, record, rotation};
 

@@ -1,7 +1,5 @@
 //! The worked examples of the protocol sheet, and round trips of everything that can be written.
 
-#![expect(clippy::unwrap_used, reason = "a test helper may panic")]
-
 use posed_drivers::flock::Family;
 use posed_drivers::flock::wire::{
     Addressed, Addressing, BirdStatus, Command, CommandParser, Format, Hemisphere, QuaternionSense, Range,

@@ -1,0 +1,7 @@
+//! The Flock of Birds.
+
+mod bench;
+mod capture;
+mod faults;
+mod session;
+mod wire;
