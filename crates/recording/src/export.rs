@@ -246,7 +246,8 @@ enum Anew {
     Columns,
 }
 
-/// Writes a recording anew, as this version makes it of the log, with its digest; returns the number of messages that follow from it. A torn recording gives what it has. `progress` receives the bytes of the recording read so far and says whether to go on.
+/// Writes a recording anew, as this version makes it of the log, with its digest; returns the number of messages that follow from it. A torn recording gives
+/// what it has. `progress` receives the bytes of the recording read so far and says whether to go on.
 ///
 /// # Errors
 /// The recording cannot be read, is of another version, or the file cannot be written; nothing is left behind.

@@ -15,8 +15,8 @@ use super::writer::{WriteError, Writer};
 use posed_pipeline::Pipeline;
 use posed_protocol::foxglove::Views;
 use posed_protocol::{Payload, schema};
+use posed_stage::RecordingContent;
 use posed_stage::input::{DeviceIndex, Entry};
-use posed_stage::{RecordingContent, Stage};
 
 /// Writes entries, and what follows from them.
 pub struct Scribe<W: Write> {
@@ -34,9 +34,7 @@ impl<W: Write> Scribe<W> {
     /// # Errors
     /// The header's stage file or snapshot is of another version, the sink refuses, or a part of the header is too large.
     pub fn new(sink: W, header: Header) -> Result<Self, WriteError> {
-        let (stage, machine) = Machine::as_recorded(&header)?;
-        let columns = stage.recording.columns.then(|| Columns::new(&stage));
-        Self::begin(sink, header, &stage, machine, columns)
+        Self::begin(sink, header, false)
     }
 
     /// As [`Scribe::new`], with columns in any case.
@@ -44,22 +42,16 @@ impl<W: Write> Scribe<W> {
     /// # Errors
     /// As for [`Scribe::new`].
     pub(super) fn with_columns(sink: W, header: Header) -> Result<Self, WriteError> {
-        let (stage, machine) = Machine::as_recorded(&header)?;
-        let columns = Some(Columns::new(&stage));
-        Self::begin(sink, header, &stage, machine, columns)
+        Self::begin(sink, header, true)
     }
 
-    fn begin(
-        sink: W,
-        header: Header,
-        stage: &Stage,
-        machine: Machine,
-        columns: Option<Columns>,
-    ) -> Result<Self, WriteError> {
+    fn begin(sink: W, header: Header, has_columns: bool) -> Result<Self, WriteError> {
+        let (stage, machine) = Machine::as_recorded(&header)?;
+        let columns = (has_columns || stage.recording.columns).then(|| Columns::new(&stage));
         let content = header.content;
-        let mut views = Views::new(stage, header.epoch_utc_ns, content);
+        let mut views = Views::new(&stage, header.epoch_utc_ns, content);
         header.models.iter().for_each(|model| views.swap(model));
-        let digester = Digester::new(stage, header.begun);
+        let digester = Digester::new(&stage, header.begun);
         let mut writer = Writer::new(sink, header)?;
         schema::of_topics().iter().for_each(|(topic, schema)| writer.declare(topic, schema));
         Ok(Self { machine, views, content, digester, columns, writer })
