@@ -114,7 +114,7 @@ UNKNOWN = -(2**31)
 def part(of: str, rows: list[list[int]], **more: object) -> bytes:
     """A block's table, packed as a recording has it."""
     numbers = np.array(rows, dtype=np.int64).T
-    differences = np.diff(numbers, axis=1, prepend=0).astype(np.uint32).astype(np.int32)
+    differences = np.diff(numbers, axis=1, prepend=0).astype(np.int32)
     zigzag = (differences << 1) ^ (differences >> 31)
     planes = zigzag.astype("<i4").reshape(-1, 1).view(np.uint8).T
     return msgspec.msgpack.encode({"of": of, "states": ["ok", "missing"], "rows": len(rows), "width": len(rows[0]), "values": planes.tobytes(), **more})
