@@ -79,7 +79,7 @@ impl Guide {
         &mut self,
         t_s: f64,
         reading: impl Fn(usize) -> Option<PoleReading>,
-        emit: &mut impl FnMut(Progress),
+        emit: &mut dyn FnMut(Progress),
     ) {
         if self.kept_s.is_some_and(|kept| t_s < kept + KEEP_S) || self.run.frames.len() >= MOST_FRAMES {
             return;

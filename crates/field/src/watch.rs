@@ -181,7 +181,7 @@ impl Channel {
     }
 
     /// Judges a full block; `quiet`: no channel is disturbed, so that this one may learn.
-    fn judge(&mut self, quiet: bool, emit: &mut impl FnMut(Warning)) {
+    fn judge(&mut self, quiet: bool, emit: &mut dyn FnMut(Warning)) {
         let block = std::mem::take(&mut self.block);
         if block.count < LEAST_READINGS {
             return;
@@ -249,7 +249,7 @@ impl Baseline {
 }
 
 impl Alarm {
-    fn step(&mut self, offset: Vector3<f64>, sigma_m: f64, begin: f64, emit: &mut impl FnMut(bool)) {
+    fn step(&mut self, offset: Vector3<f64>, sigma_m: f64, begin: f64, emit: &mut dyn FnMut(bool)) {
         let far = offset.norm() / sigma_m;
         if self.active {
             self.blocks = if far < END_SIGMAS { self.blocks + 1 } else { 0 };
@@ -312,12 +312,7 @@ impl Watch {
     ///
     /// A block ends after 0.15 s, or at once where time runs backwards; one with fewer than three readings is left out.
     /// A disturbance takes two blocks in a row beyond 5 standard deviations to begin, and seven below 3 to end.
-    pub fn push(
-        &mut self,
-        t_s: f64,
-        seen: impl Fn(usize) -> WatchedPosition,
-        emit: &mut impl FnMut(Warning),
-    ) {
+    pub fn push(&mut self, t_s: f64, seen: impl Fn(usize) -> WatchedPosition, emit: &mut dyn FnMut(Warning)) {
         for at in 0..self.channels.len() {
             let quiet = !self.is_disturbed();
             let channel = &mut self.channels[at];

@@ -120,13 +120,13 @@ impl Counter {
     /// Takes a row of the stream at `t_s` (s, not negative), in the order of the columns, `None` where there is no
     /// value; `each` hears what happened. Rows need no even spacing: a frame of the model takes their mean. A row that
     /// is older than the frame being filled is left out and counted by `late`.
-    pub fn push(&mut self, t_s: f64, row: &[Option<f64>], each: &mut impl FnMut(Event)) {
+    pub fn push(&mut self, t_s: f64, row: &[Option<f64>], each: &mut dyn FnMut(Event)) {
         let counting = &mut self.counting;
         self.resampler.push(t_s, self.binding.values(row), &mut |frame| counting.push(frame, t_s, each));
     }
 
     /// Ends the stream; `each` hears what is certain now, a repetition that ended with the stream too.
-    pub fn finish(&mut self, each: &mut impl FnMut(Event)) {
+    pub fn finish(&mut self, each: &mut dyn FnMut(Event)) {
         let counting = &mut self.counting;
         self.resampler.finish(&mut |frame| {
             let t_s = counting.end_s(frame.index);

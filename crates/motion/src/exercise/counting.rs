@@ -217,7 +217,7 @@ impl Counting {
         (self.origin.unwrap_or(0) + frame) as f64 / self.rate_hz
     }
 
-    pub(super) fn push(&mut self, frame: Frame<'_>, t_s: f64, each: &mut impl FnMut(Event)) {
+    pub(super) fn push(&mut self, frame: Frame<'_>, t_s: f64, each: &mut dyn FnMut(Event)) {
         if frame.after_gap {
             // What was going on is over, as far as anybody can tell.
             self.finish(each);
@@ -284,7 +284,7 @@ impl Counting {
         hint
     }
 
-    pub(super) fn finish(&mut self, each: &mut impl FnMut(Event)) {
+    pub(super) fn finish(&mut self, each: &mut dyn FnMut(Event)) {
         self.hint = None;
         let t_s = self.t_s(self.viterbi.frames());
         let emitted = &mut self.emitted;
@@ -306,7 +306,7 @@ impl Counting {
     }
 
     /// Follows the path that has become certain.
-    fn walk(&mut self, t_s: f64, each: &mut impl FnMut(Event)) {
+    fn walk(&mut self, t_s: f64, each: &mut dyn FnMut(Event)) {
         for item in 0..self.emitted.len() {
             let (frame, state) = self.emitted[item];
             let slot = (frame % self.capacity()) as usize;
@@ -404,7 +404,7 @@ impl Counting {
     }
 
     /// Judges the certain repetition of the frames `start..end`.
-    fn conclude(&mut self, exercise: usize, start: u64, end: u64, t_s: f64, each: &mut impl FnMut(Event)) {
+    fn conclude(&mut self, exercise: usize, start: u64, end: u64, t_s: f64, each: &mut dyn FnMut(Event)) {
         let judged = if self.recall(start, end) { self.measures(exercise, start) } else { None };
         let (span, verdict) = match judged {
             Some((measures, span)) => (span, self.verdict(exercise, &measures, span)),
@@ -501,7 +501,7 @@ impl Counting {
     }
 
     /// Looks at the path that is best now: a repetition at its end is provisional.
-    fn look_ahead(&mut self, t_s: f64, each: &mut impl FnMut(Event)) {
+    fn look_ahead(&mut self, t_s: f64, each: &mut dyn FnMut(Event)) {
         let certain = self.certain;
         for exercise in 0..self.watched.len() {
             // The path has passed it and found none.
@@ -556,7 +556,7 @@ impl Counting {
     }
 
     /// Takes a provisional repetition back that ended before frame `until`.
-    fn withdraw(&mut self, exercise: usize, until: u64, t_s: f64, each: &mut impl FnMut(Event)) {
+    fn withdraw(&mut self, exercise: usize, until: u64, t_s: f64, each: &mut dyn FnMut(Event)) {
         if let Some(span) = self.watched[exercise].pending
             && span[1] < until
         {

@@ -52,7 +52,7 @@ impl Resampler {
 
     /// Takes a sample at `t_s`, NaN where a channel has no value, and returns the frames that are done with it.
     /// A sample that is older than the frame being filled, or has no time, is counted and left out.
-    pub(super) fn push(&mut self, t_s: f64, values: &[f64], each: &mut impl FnMut(Frame<'_>)) {
+    pub(super) fn push(&mut self, t_s: f64, values: &[f64], each: &mut dyn FnMut(Frame<'_>)) {
         // A sample on the edge belongs to the frame it begins, whatever its last digit.
         let index = (t_s * self.rate_hz + 1e-6).floor();
         if !(0.0..9e15).contains(&index) {
@@ -88,7 +88,7 @@ impl Resampler {
     }
 
     /// Says the frame that is being filled: the stream has ended.
-    pub(super) fn finish(&mut self, each: &mut impl FnMut(Frame<'_>)) {
+    pub(super) fn finish(&mut self, each: &mut dyn FnMut(Frame<'_>)) {
         if let Some(current) = self.current.take() {
             self.flush(current, each);
         }
@@ -99,7 +99,7 @@ impl Resampler {
         self.late
     }
 
-    fn flush(&mut self, index: u64, each: &mut impl FnMut(Frame<'_>)) {
+    fn flush(&mut self, index: u64, each: &mut dyn FnMut(Frame<'_>)) {
         for ((value, sum), count) in self.values.iter_mut().zip(&mut self.sums).zip(&mut self.counts) {
             *value = if *count > 0 { *sum / f64::from(*count) } else { f64::NAN };
             (*sum, *count) = (0.0, 0);

@@ -47,7 +47,7 @@ impl Passage {
         exercise_topology: &ExerciseTopology,
         frame: u64,
         state: usize,
-        mark: &mut impl FnMut(Mark),
+        mark: &mut dyn FnMut(Mark),
     ) {
         let before = std::mem::replace(&mut self.before, state);
         if before == 0 || exercise_topology.is_boundary(before, state) {

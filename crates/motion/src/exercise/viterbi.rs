@@ -119,7 +119,7 @@ impl ShortTimeViterbi {
     ///
     /// # Panics
     /// `log_density` has another length than the model has states.
-    pub fn push(&mut self, log_density: &[f64], emit: &mut impl FnMut(u64, usize)) {
+    pub fn push(&mut self, log_density: &[f64], emit: &mut dyn FnMut(u64, usize)) {
         let states = self.topology.states();
         assert_eq!(log_density.len(), states, "one log density per state");
         if self.now - self.first + 1 >= self.capacity as u64 {
@@ -155,7 +155,7 @@ impl ShortTimeViterbi {
     }
 
     /// Ends the stream: emits the rest of the best path, and is as new afterwards but for the frame number.
-    pub fn finish(&mut self, emit: &mut impl FnMut(u64, usize)) {
+    pub fn finish(&mut self, emit: &mut dyn FnMut(u64, usize)) {
         if self.now > self.first {
             self.trace();
             for (index, state) in self.path.iter().enumerate() {
@@ -286,7 +286,7 @@ impl ShortTimeViterbi {
     }
 
     /// Emits the common stem.
-    fn emit_fused(&mut self, emit: &mut impl FnMut(u64, usize)) {
+    fn emit_fused(&mut self, emit: &mut dyn FnMut(u64, usize)) {
         let words = self.topology.states().div_ceil(64);
         while self.first < self.now {
             let slot = self.slot(self.first);
@@ -305,7 +305,7 @@ impl ShortTimeViterbi {
     }
 
     /// Decides the oldest frame by the path that is best now, and gives up all paths that contradict.
-    fn force(&mut self, emit: &mut impl FnMut(u64, usize)) {
+    fn force(&mut self, emit: &mut dyn FnMut(u64, usize)) {
         let states = self.topology.states();
         let words = states.div_ceil(64);
         let Some(chosen) = self.best().map(|best| self.oldest(best)) else { return };
@@ -362,7 +362,7 @@ impl ShortTimeViterbi {
         }
     }
 
-    fn restart(&mut self, emit: &mut impl FnMut(u64, usize)) {
+    fn restart(&mut self, emit: &mut dyn FnMut(u64, usize)) {
         self.finish(emit);
         self.now += 1;
         self.first = self.now;

@@ -129,7 +129,7 @@ impl<S: Statistic> Detector<S> {
 
     /// Takes the next frame's pose (m; sensor to the frame of reference); `event` hears what became known with it.
     /// Returns the statistic at an earlier frame; `None` until the first window is full.
-    pub fn push(&mut self, pose: &Isometry3<f64>, event: &mut impl FnMut(Event)) -> Option<Trace> {
+    pub fn push(&mut self, pose: &Isometry3<f64>, event: &mut dyn FnMut(Event)) -> Option<Trace> {
         let score = self.statistic.push(pose);
         let decided = self.frames;
         self.frames += 1;
@@ -145,7 +145,7 @@ impl<S: Statistic> Detector<S> {
 
     /// Ends the motion: a candidate that the statistic has begun to leave is confirmed although its future is missing.
     /// Frames nearer to the end than the lag are not judged.
-    pub fn finish(&mut self, event: &mut impl FnMut(Event)) {
+    pub fn finish(&mut self, event: &mut dyn FnMut(Event)) {
         let (first, decided) = (self.first, self.frames.saturating_sub(1));
         self.peaks.finish(&mut |peak| event(Event::of(peak, first, decided)));
     }

@@ -57,7 +57,7 @@ impl Peaks {
     }
 
     /// Takes the next value.
-    pub(super) fn push(&mut self, score: Score, event: &mut impl FnMut(Peak)) {
+    pub(super) fn push(&mut self, score: Score, event: &mut dyn FnMut(Peak)) {
         let at = self.count;
         self.count += 1;
         if let Some(candidate) = &mut self.candidate {
@@ -88,7 +88,7 @@ impl Peaks {
     }
 
     /// Ends the stream: a peak whose right neighbours are not all there is believed if the statistic has turned.
-    pub(super) fn finish(&mut self, event: &mut impl FnMut(Peak)) {
+    pub(super) fn finish(&mut self, event: &mut dyn FnMut(Peak)) {
         let Some(candidate) = self.candidate.take() else { return };
         if candidate.score.accepted && candidate.at + 1 < self.count {
             event(Peak::Confirmed { at: candidate.at, score: candidate.score });

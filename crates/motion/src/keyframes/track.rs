@@ -76,11 +76,7 @@ impl<S: Statistic + Clone> Track<S> {
     /// Returns the statistic at an earlier frame; `None` for a missing pose and until a window is full. Frames of
     /// events and of the statistic count from the stream's first. Bridging frames are taken with the pose that ends the
     /// gap.
-    pub fn push(
-        &mut self,
-        pose: Option<&Isometry3<f64>>,
-        emit: &mut impl FnMut(TrackEvent),
-    ) -> Option<Trace> {
+    pub fn push(&mut self, pose: Option<&Isometry3<f64>>, emit: &mut dyn FnMut(TrackEvent)) -> Option<Trace> {
         let now = self.frames;
         self.frames += 1;
         let Some(pose) = pose else {
@@ -129,7 +125,7 @@ impl Motion {
         detector: &mut Detector<S>,
         pose: &Isometry3<f64>,
         now: u64,
-        emit: &mut impl FnMut(TrackEvent),
+        emit: &mut dyn FnMut(TrackEvent),
     ) -> Option<Trace> {
         self.poses.push(*pose);
         let newest = self.start + detector.frames;
@@ -140,7 +136,7 @@ impl Motion {
         &mut self,
         detector: &mut Detector<S>,
         now: u64,
-        emit: &mut impl FnMut(TrackEvent),
+        emit: &mut dyn FnMut(TrackEvent),
     ) {
         let newest = self.start + detector.frames.saturating_sub(1);
         detector.finish(&mut |event| emit(self.tell(event, newest, now)));

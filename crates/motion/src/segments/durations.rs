@@ -53,7 +53,7 @@ impl Decoder {
 
     /// Takes the probabilities of the next frame, one per class; `emit` gets frame number and class of each frame that
     /// became certain, in order. The first and the last segment of a stream may be shorter than the minimum.
-    pub fn push(&mut self, probabilities: &[f32], emit: &mut impl FnMut(u64, usize)) {
+    pub fn push(&mut self, probabilities: &[f32], emit: &mut dyn FnMut(u64, usize)) {
         for (log_density, class) in self.log_density.iter_mut().zip(&self.class) {
             *log_density = libm::log(f64::from(probabilities[usize::from(*class)]).max(LEAST));
         }
@@ -67,7 +67,7 @@ impl Decoder {
     }
 
     /// Ends the stream; `emit` gets frame number and class of the frames that are left.
-    pub fn finish(&mut self, emit: &mut impl FnMut(u64, usize)) {
+    pub fn finish(&mut self, emit: &mut dyn FnMut(u64, usize)) {
         let class = &self.class;
         self.viterbi.finish(&mut |frame, state| emit(frame, usize::from(class[state])));
     }

@@ -106,7 +106,7 @@ impl Labeller {
     ///
     /// # Panics
     /// The positions are not as many as the model's joints.
-    pub fn push(&mut self, model: &Model, t_s: f64, positions: &[Position], emit: &mut impl FnMut(Tick)) {
+    pub fn push(&mut self, model: &Model, t_s: f64, positions: &[Position], emit: &mut dyn FnMut(Tick)) {
         let preparation = &model.card.preparation;
         assert_eq!(positions.len(), preparation.joints.len(), "joints");
         if !t_s.is_finite() {
@@ -148,7 +148,7 @@ impl Labeller {
     }
 
     /// Ends the stream: `emit` gets all ticks that are left, final, and the next frame begins a new stream.
-    pub fn finish(&mut self, model: &Model, emit: &mut impl FnMut(Tick)) {
+    pub fn finish(&mut self, model: &Model, emit: &mut dyn FnMut(Tick)) {
         if self.last_s.take().is_none() {
             return;
         }
@@ -170,7 +170,7 @@ impl Labeller {
     }
 
     /// Takes the scores in `buffer` for the next tick.
-    fn score(&mut self, model: &Model, emit: &mut impl FnMut(Tick)) {
+    fn score(&mut self, model: &Model, emit: &mut dyn FnMut(Tick)) {
         let classes = model.card.labels.len();
         let rate_hz = model.card.preparation.rate_hz;
         softmax(&mut self.buffer);

@@ -51,7 +51,7 @@ impl Stream {
     }
 
     /// Ends the stream; `emit` gets the scores of the frames that are left, in order.
-    pub fn finish(&mut self, network: &SegmentationNetwork<f32>, emit: &mut impl FnMut(&[f32])) {
+    pub fn finish(&mut self, network: &SegmentationNetwork<f32>, emit: &mut dyn FnMut(&[f32])) {
         for layer in 0..self.rings.len() {
             // What came in from outside, or has come from the layer below, which is complete by now.
             let frames = self.rings[layer].taken;
